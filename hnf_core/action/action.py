@@ -1,4 +1,4 @@
-"""The action u(t) = [direction, speed, normal force] at the action rate, and its reading from a CSV table.
+"""The action u(t) = [direction, speed, normal force] at the action rate (200 Hz), and its reading from a CSV table.
 
 Tables may have any rising time grid. A table finer than the action rate is low-passed first, so that a vibration
 between its rows does not alias to a tone.
@@ -37,7 +37,7 @@ class Action:
     speed : ndarray, shape (n,)
         Speed ≥ 0 [m/s].
     force : ndarray, shape (n,)
-        Normal force ≥ 0 [N].
+        Pressing force along the surface normal, ≥ 0 [N].
     position : ndarray, shape (n,)
         Signed arc length along the path [m]; falls when the stroke runs backward.
     contact : ndarray of bool, shape (n,)
@@ -77,10 +77,11 @@ _SAMPLES_PER_CHUNK = 1024
 
 
 def resample_band_limited(values: Float, time: Float, count: int, rate: float) -> Float:
-    """Resample a table to an even grid that starts with it, without aliasing.
+    """Resample a table to an even time grid that starts with its first row, without aliasing.
 
-    Linear between rows. Where the table is finer than half a step of the grid, it is averaged under a Gaussian that is
-    −3 dB at a quarter of the rate and −27 dB at three quarters. Beyond its ends the end values continue.
+    Linear between rows. Where the table's rows are closer than half a grid step, it is smoothed by a Gaussian whose
+    response is −3 dB at a quarter of the grid's rate and −27 dB at three quarters. Beyond its ends the end values
+    continue.
 
     Parameters
     ----------
@@ -115,13 +116,16 @@ def resample_band_limited(values: Float, time: Float, count: int, rate: float) -
 
 
 def _find_rows(time: Float, first: float, last: float) -> slice:
-    """Return the rows that determine the values between two times, with one row beyond each end if there is one."""
+    """Return the slice of table rows needed between two times [s], with one row beyond each end if there is one."""
     low, high = np.searchsorted(time, (first, last))
     return slice(max(int(low) - 1, 0), int(high) + 1)
 
 
 def _compute_mean_step(time: Float, at: Float, rate: float) -> Float:
-    """Return the mean step [s] of the rows around each time: a single narrow pair does not make a table fine."""
+    """Return the mean time step [s] of the table's rows around each time `at`.
+
+    A mean, because a single pair of close rows does not call for smoothing.
+    """
     low = np.maximum(at - _STEP_NEIGHBOURHOOD / rate, time[0])
     high = np.minimum(at + _STEP_NEIGHBOURHOOD / rate, time[-1])
     row = np.arange(len(time), dtype=np.float64)
@@ -129,7 +133,7 @@ def _compute_mean_step(time: Float, at: Float, rate: float) -> Float:
 
 
 def _average_gaussian(values: Float, time: Float, first: int, count: int, rate: float) -> Float:
-    """Return averages (count, k) under the Gaussian, from grid sample `first` on; times start at 0."""
+    """Return a table's values (count, k) smoothed by the anti-aliasing Gaussian, from grid sample `first` on."""
     cell = 1.0 / (rate * CELLS_PER_SAMPLE)
     sigma = np.sqrt(np.log(2.0)) / (2.0 * np.pi * 0.25 * rate)
     reach = int(np.ceil(_SUPPORT_SIGMAS * sigma / cell))
@@ -140,9 +144,9 @@ def _average_gaussian(values: Float, time: Float, first: int, count: int, rate: 
 
 
 def _compute_cell_means(values: Float, time: Float, edges: Float) -> Float:
-    """Return exact means (m, k) of the linear interpolation in m cells between edges (m + 1,).
+    """Return exact means (m, k) of a linearly interpolated table over m time intervals with edges (m + 1,).
 
-    Nearly equal numbers are never subtracted.
+    Computed without subtracting nearly equal integrals, which would lose digits.
     """
     inside = time[slice(*np.searchsorted(time, (edges[0], edges[-1])))]
     knots = np.sort(np.concatenate([edges, inside]), kind="stable")
@@ -319,7 +323,10 @@ def _read_table(path: Path, stream: Iterable[str]) -> tuple[list[str], Float, Se
 
 
 def _integrate_speed(at: Float, time: Float, speed: Float, travelled: Float) -> Float:
-    """Integrate speed, linear between rows, exactly up to times `at`."""
+    """Integrate a table's speed, linear between its rows, exactly up to times `at`.
+
+    travelled: integral up to each row of the table.
+    """
     row = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
     dt = at - time[row]
     fraction = dt / (time[row + 1] - time[row])

@@ -26,7 +26,7 @@ _PAIRS_PER_CHUNK = 4_000_000
 def find_nearest_on_triangles(points: Float, corners: Float) -> ClosestPoints:
     """Find the nearest point of triangles (T, 3, 3) to each point (n, 3); of equally near triangles, the first.
 
-    A triangle is tested only if its bounding sphere may contain something nearer than the nearest centroid.
+    Triangles are skipped whose bounding sphere is farther away than the nearest centroid.
     """
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
@@ -43,7 +43,7 @@ def find_nearest_on_triangles(points: Float, corners: Float) -> ClosestPoints:
 
 
 def concatenate_hits(parts: list[ClosestPoints]) -> ClosestPoints:
-    """Concatenate closest points in order."""
+    """Concatenate search results (closest surface points) in order."""
     return ClosestPoints(
         np.concatenate([chunk.triangle for chunk in parts]),
         np.concatenate([chunk.barycentric for chunk in parts]),
@@ -53,7 +53,7 @@ def concatenate_hits(parts: list[ClosestPoints]) -> ClosestPoints:
 
 
 def _select_near_triangles(points: Float, corners: Float, centre: Float) -> Int:
-    """Return the triangles whose bounding box overlaps that of the points, widened by a bound on the distance."""
+    """Return the indices of the triangles that may contain the nearest point of any of points (n, 3)."""
     if len(corners) <= _BOUND_SAMPLES:
         return np.arange(len(corners), dtype=np.intp)
     sampled = centre[:: len(centre) // _BOUND_SAMPLES + 1]
@@ -91,8 +91,8 @@ Int32 = NDArray[np.int32]
 class DeformingMesh:
     """A mesh with moving vertices and fixed triangles.
 
-    Between the given times, vertices follow Catmull-Rom splines, so that the surface's velocity has no steps; outside,
-    the end shapes continue.
+    Between the given times, vertices follow Catmull-Rom splines, so that the surface's velocity has no steps; before
+    the first and after the last time, those shapes are kept.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class DeformingMesh:
         )
 
     def find_nearest(self, time: Float, points: Float) -> tuple[ClosestPoints, Float, Float]:
-        """Find the closest material point of each sample at its time.
+        """Find the closest point of the deformed surface for each sample, at that sample's time.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class DeformingMesh:
         corners : ndarray, shape (n, 3, 3)
             Corners of their triangles at that time [m].
         velocity : ndarray, shape (n, 3)
-            Velocity of the material there [m/s].
+            Velocity of the surface there [m/s].
         """
         hits, corners = [], []
         for t, point in zip(time, points, strict=True):
@@ -145,7 +145,7 @@ class DeformingMesh:
         return hit, np.concatenate(corners), self._compute_material_velocity(time, hit)
 
     def _compute_material_velocity(self, time: Float, hit: ClosestPoints) -> Float:
-        """Return the velocity (n, 3) [m/s] of the material points that were hit."""
+        """Return the velocity (n, 3) [m/s] of the surface at the n closest points `hit`, at times (n,)."""
         step = 1e-3
         drift = np.empty((len(time), 3))
         for i, t in enumerate(time):
@@ -159,7 +159,10 @@ class DeformingMesh:
         return drift
 
     def _compute_time_weights(self, time: float) -> tuple[list[int], list[float]]:
-        """Return frames and weights of the Catmull-Rom spline on an uneven grid (cubic Hermite, central slopes)."""
+        """Return the given shapes that are blended at a time [s], as indices, and their weights.
+
+        They are those of a Catmull-Rom spline on an uneven grid (cubic Hermite, central slopes).
+        """
         count = len(self.time)
         if count == 1 or time <= self.time[0]:
             return [0], [1.0]
@@ -182,7 +185,7 @@ class DeformingMesh:
 
 
 def transform_to_rest(mesh: TriangleMesh, triangle: Int32, corners: Float, vectors: Float) -> Float:
-    """Transform vectors (n, 3) on deformed triangles, corners (n, 3, 3), to the shape at rest.
+    """Transform vectors (n, 3) on deformed triangles, corners (n, 3, 3), to the mesh's undeformed shape.
 
     Uses the inverse of each triangle's deformation gradient; lengths change as the surface was stretched.
     """
@@ -193,7 +196,7 @@ def transform_to_rest(mesh: TriangleMesh, triangle: Int32, corners: Float, vecto
 
 
 def _compute_edge_frames(corners: Float) -> Float:
-    """Return two edges and the normal, scaled like the edges, as the columns of (n, 3, 3)."""
+    """Return two edges of each triangle and its normal, of like length, as the columns of (n, 3, 3)."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(first, second)
     size = np.sqrt(np.maximum(np.linalg.norm(normal, axis=1), 1e-300))
@@ -210,7 +213,7 @@ STEEP_COSINE = 2**-0.5
 
 @dataclass(frozen=True)
 class StrokeSamples:
-    """A stroke at the action rate, in the surface frame.
+    """A stroke along a curve, sampled at the action rate (200 Hz), in the surface frame.
 
     Attributes
     ----------
@@ -240,9 +243,9 @@ class StrokeSamples:
 
 @dataclass(frozen=True)
 class Contacts:
-    """Contact of every sample, in the surface frame; on a deforming surface in its shape at rest.
+    """Contact of every sample of a stroke, in the surface frame; on a deforming surface in its undeformed shape.
 
-    Tokens, patches and height maps belong to the material, wherever it has moved to.
+    Undeformed, because patches and height maps belong to points of the material, wherever these have moved to.
 
     Attributes
     ----------
@@ -267,7 +270,7 @@ class Contacts:
     force : ndarray, shape (n,)
         Normal force [N].
     on_surface : ndarray of bool, shape (n,)
-        True within the tolerance.
+        True where the curve is within the contact tolerance of the surface.
     distance : ndarray, shape (n,)
         Distance between curve and surface [m].
     """
@@ -295,7 +298,7 @@ def find_contacts(
     tolerance_m: float = CONTACT_TOLERANCE_M,
     where: str = "",
 ) -> Contacts:
-    """Find the nearest surface point of every sample, its frame, and the velocity relative to the material.
+    """Find the nearest surface point of every sample, its tangent frame, and the velocity relative to the surface.
 
     Parameters
     ----------
@@ -365,7 +368,7 @@ def find_contacts(
 
 
 def interpolate_normals(normals: Float, corners: Float, barycentric: Float) -> Float:
-    """Interpolate corner normals (n, 3, 3) to unit normals (n, 3); where they cancel, the facet's normal."""
+    """Interpolate corner normals (n, 3, 3) to unit normals (n, 3); where they cancel, take the triangle's normal."""
     blended = np.einsum("nc,ncx->nx", barycentric, normals)
     length = np.linalg.norm(blended, axis=1)
     facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -417,7 +420,10 @@ def compute_tangents(corners: Float, uv: Float | None, normal: Float) -> tuple[F
 
 
 def _project_onto_plane(direction: Float, normal: Float) -> tuple[Float, Bool]:
-    """Return directions projected on the planes, normalised, and a mask of those that do not vanish."""
+    """Return directions (n, 3) projected on the planes of unit normals (n, 3), normalised.
+
+    Also returns a mask of those that do not vanish because they run along the normal.
+    """
     norm = np.linalg.norm(direction, axis=1)
     flat = direction - normal * np.einsum("nx,nx->n", direction, normal)[:, None]
     length = np.linalg.norm(flat, axis=1)
@@ -426,10 +432,10 @@ def _project_onto_plane(direction: Float, normal: Float) -> tuple[Float, Bool]:
 
 
 def _project_velocity(velocity: Float, speed: Float, normal: Float) -> Float:
-    """Return tangential velocities with the length `speed` (n,).
+    """Return velocities (n, 3) projected on the tangent planes and rescaled to the length `speed` (n,).
 
-    A drawn curve and a facet's interpolated normal differ by some degrees, so that a plain projection would modulate
-    the speed at the facets' rate.
+    A curve and the mesh's interpolated normals are never exactly orthogonal, so that a plain projection would modulate
+    the speed at the rate at which triangles pass.
     """
     flat = velocity - normal * np.einsum("nx,nx->n", velocity, normal)[:, None]
     norm, tangential_norm = np.linalg.norm(velocity, axis=1), np.linalg.norm(flat, axis=1)
@@ -443,7 +449,7 @@ def _project_velocity(velocity: Float, speed: Float, normal: Float) -> Float:
 
 
 def _integrate_travel(samples: StrokeSamples, velocity: Float, tangent: Float) -> Float:
-    """Integrate the signed distance relative to a moving surface, negative against the curve's direction."""
+    """Integrate the signed distance (n,) travelled over a moving surface, falling against the curve's direction."""
     sign = np.where(np.einsum("nx,nx->n", velocity, tangent) < 0.0, -1.0, 1.0)
     rate = sign * np.linalg.norm(velocity, axis=1)
     distance = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2.0 * np.diff(samples.time))])

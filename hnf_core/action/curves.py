@@ -87,14 +87,14 @@ def make_poly_curve(points: ArrayLike, *, cyclic: bool = False) -> PiecewiseBezi
 def make_bezier_curve(
     points: ArrayLike, handle_left: ArrayLike, handle_right: ArrayLike, *, cyclic: bool = False
 ) -> PiecewiseBezier:
-    """Make a cubic Bézier spline from knots and handles as Blender stores them.
+    """Make a cubic Bézier spline from control points and handles as Blender stores them.
 
     Parameters
     ----------
     points : array_like, shape (k, dim)
-        Knots.
+        Control points, which the curve passes through.
     handle_left, handle_right : array_like, shape (k, dim)
-        Handles before and after each knot.
+        Handles before and after each control point.
     cyclic : bool
         True for a closed spline.
 
@@ -127,7 +127,7 @@ def make_smooth_curve(points: ArrayLike, *, cyclic: bool = False) -> PiecewiseBe
 
 
 def compute_smooth_handles(points: Float, *, cyclic: bool = False) -> tuple[Float, Float]:
-    """Return left and right handles (k, dim) of a Catmull-Rom spline; those of the ends point at their neighbours."""
+    """Return left and right handles (k, dim) of a Catmull-Rom spline; end handles point at the neighbour point."""
     if len(points) == 1:
         return points.copy(), points.copy()
     before, after = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
@@ -159,7 +159,8 @@ _NODES, _WEIGHTS = _make_gauss_rule(12)
 class ArcCurve:
     """A piecewise curve with its arc-length table.
 
-    Panels are parts of segments on which one 12-point Gauss rule is exact to `LENGTH_TOLERANCE`.
+    The table splits segments into panels, on each of which one 12-point Gauss rule gives the length to
+    `LENGTH_TOLERANCE`.
 
     Attributes
     ----------
@@ -207,12 +208,15 @@ class ArcCurve:
         return np.asarray(derivative / np.where(speed > 0.0, speed, 1.0)[:, None])
 
     def parameter_at(self, s: ArrayLike) -> tuple[Int, Float]:
-        """Return segments and parameters u (n,) at arc lengths (n,): the same points on any affine image."""
+        """Return segments and Bézier parameters u (n,) at arc lengths (n,).
+
+        They denote the corresponding points on any affine image of the curve.
+        """
         segment, u, _ = self._find_parameter(s)
         return segment, u
 
     def _find_parameter(self, s: ArrayLike) -> tuple[Int, Float, Int]:
-        """Find segment, parameter and panel of arc lengths, by Newton's method with bisection as a fallback."""
+        """Find segment, Bézier parameter u and panel of arc lengths (n,), by Newton's method or else bisection."""
         target = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
         panel = np.clip(np.searchsorted(self.station, target, side="right") - 1, 0, len(self.segment) - 1)
         segment, base = self.segment[panel], self.start[panel]
@@ -292,7 +296,7 @@ def build_arc_curve(curve: PiecewiseBezier) -> ArcCurve:
 def require_single_spline(splines: Sequence[PiecewiseBezier], *, where: str) -> PiecewiseBezier:
     """Return the only spline of a stroke; raise StrokeError for none or several.
 
-    A stroke is one touch, and silently choosing the first spline would drop what the artist drew after it.
+    A stroke is one touch, and choosing the first spline would silently drop the others that the artist drew.
     """
     if not splines:
         raise StrokeError("the curve has no spline.", where=where, remedy="Draw a curve in Edit Mode.")
@@ -308,8 +312,9 @@ def require_single_spline(splines: Sequence[PiecewiseBezier], *, where: str) -> 
 def compute_blender_knots(count: int, order: int, *, cyclic: bool, endpoint: bool, bezier: bool) -> Float:
     """Compute the knot vector of a Blender NURBS spline (blenkernel, curve_nurbs.cc, calculate_knots).
 
-    Knots have unit spans. `endpoint` repeats the end knots `order` times, `bezier` repeats the inner ones order − 1
-    times, `cyclic` appends order − 1 spans that copy the first ones.
+    Knots have unit spans. count: number of control points. Flags as in Blender: `endpoint` repeats the end knots
+    `order` times, `bezier` repeats the inner ones order − 1 times, `cyclic` appends order − 1 spans that copy the first
+    ones.
     """
     size = count + order + (order - 1 if cyclic else 0)
     tail = 2 * order - 1 if cyclic else (order if endpoint else 0)
@@ -330,7 +335,10 @@ def compute_blender_knots(count: int, order: int, *, cyclic: bool, endpoint: boo
 
 
 def has_nurbs_form(count: int, order: int, *, cyclic: bool, bezier: bool, endpoint: bool) -> bool:
-    """Return True if Blender can evaluate the spline; otherwise it shows the control polygon."""
+    """Return True if Blender can evaluate a NURBS spline of `count` control points.
+
+    Otherwise it draws the control polygon.
+    """
     if count < order:
         return False
     if bezier:
@@ -358,7 +366,7 @@ def make_nurbs_curve(
     order : int
         Order, 2 to 6.
     cyclic, endpoint, bezier : bool
-        Blender's flags.
+        Blender's spline settings.
 
     Returns
     -------
@@ -397,9 +405,10 @@ def make_nurbs_curve(
 
 
 def _evaluate_blossom(control: Float, knots: Float, degree: int, spans: NDArray[np.intp], ends: int) -> Float:
-    """Evaluate the polar form (S, dim + 1) of each knot span [a, b] at a, with its last `ends` arguments at b.
+    """Evaluate the polar form (blossom) of each knot span [a, b] at a, …, a, b, …, b with `ends` times b.
 
-    de Boor's algorithm with one argument per level.
+    These are the spans' Bézier control points (S, dim + 1), homogeneous. de Boor's algorithm with one argument per
+    level.
     """
     level = control[spans[:, None] + np.arange(-degree, 1)]
     for r in range(degree):

@@ -27,7 +27,10 @@ _THIRDS = np.array([0.0, 1 / 3, 2 / 3, 1.0])
 
 @dataclass(frozen=True)
 class FittedBezier:
-    """A fitted Bézier spline: knots and handles (k, dim) as Blender stores them, and each knot's input point (k,)."""
+    """A fitted Bézier spline, as Blender stores it.
+
+    Control points and their two handles, (k, dim) each, and the index (k,) of each control point in the fitted points.
+    """
 
     knot: Float
     left: Float
@@ -58,18 +61,18 @@ class _Path:
 
 @dataclass(frozen=True)
 class _Segments:
-    """k segments of a path, with their n points in one sequence.
+    """Division of a polyline into k segments, each to be fitted by a cubic, with their n points in one sequence.
 
     Attributes
     ----------
     first, last : ndarray of int, shape (k,)
-        Indices of their end points.
+        Indices of their end points in the polyline.
     at : ndarray of int, shape (n,)
-        Index of each point.
+        Index of each point in the polyline.
     segment : ndarray of int, shape (n,)
         Segment of each point.
     begin : ndarray of int, shape (k,)
-        Start of each segment in the sequence.
+        Index in the sequence at which each segment starts.
     """
 
     first: Int
@@ -90,14 +93,15 @@ class _Segments:
 def fit_bezier(points: ArrayLike, tolerance: float) -> FittedBezier:
     """Fit a Bézier spline to a polyline, each within the tolerance of the other.
 
-    Knots are input points, including the ends; segments join smoothly except where the path turns back on itself.
+    Control points are input points, including the ends; segments join smoothly except where the path turns back on
+    itself.
 
     Parameters
     ----------
     points : array_like, shape (n, dim)
         Points; consecutive ones must differ.
     tolerance : float
-        Largest distance.
+        Largest distance, in the points' unit.
 
     Returns
     -------
@@ -155,7 +159,10 @@ def _make_segments(first: Int, last: Int) -> _Segments:
 
 
 def _fit_segments(path: _Path, segments: _Segments, tolerance: float) -> tuple[Float, Int]:
-    """Return control points (k, 4, dim), and the index at which each segment must be split, −1 if it is good."""
+    """Return the segments' cubics (k, 4, dim), and the point index at which each must be split.
+
+    The index is −1 for a segment within the tolerance.
+    """
     ends = path.point[segments.first], path.point[segments.last]
     control = ends[0][:, None] + _THIRDS[:, None] * (ends[1] - ends[0])[:, None]
     split = np.full(len(segments.first), -1, dtype=np.intp)
@@ -180,20 +187,23 @@ def _fit_segments(path: _Path, segments: _Segments, tolerance: float) -> tuple[F
 
 
 def _parametrise_by_length(path: _Path, segments: _Segments) -> Float:
-    """Return parameters (n,), 0–1, in proportion to the length inside each segment."""
+    """Return curve parameters (n,), 0–1, in proportion to the polyline's length inside each segment."""
     begin, end = path.station[segments.first], path.station[segments.last]
     return np.asarray((path.station[segments.at] - begin[segments.segment]) / (end - begin)[segments.segment])
 
 
 def _find_split(segments: _Segments, error: Float, worst: Float) -> Int:
-    """Return the index (k,) of the inner point at or before the largest error of each segment."""
+    """Return the index (k,) of the inner point at or before the largest error of each segment.
+
+    error: (n,) of each point. worst: (k,) largest of each segment.
+    """
     at_worst = np.flatnonzero(error == worst[segments.segment])
     _, earliest = np.unique(segments.segment[at_worst], return_index=True)
     return np.asarray(np.clip(segments.at[at_worst[earliest]], segments.first + 1, segments.last - 1))
 
 
 def _fit_with_tangents(path: _Path, segments: _Segments, u: Float) -> Float:
-    """Fit least-squares cubics (k, 4, dim) with the path's own tangents at their ends."""
+    """Fit least-squares cubics (k, 4, dim) to the points at parameters u (n,), with the polyline's end tangents."""
     start, end = path.after[segments.first], path.before[segments.last]
     begin, stop = path.point[segments.first], path.point[segments.last]
     b = _bernstein(u)
@@ -230,7 +240,10 @@ def _evaluate_segments(control: Float, segment: Int, u: Float) -> Float:
 
 
 def _compute_distances(control: Float, path: Float, segments: _Segments, u: Float) -> Float:
-    """Return the distance (n,) of each point to its curve point, or of the curve to the line to the next point."""
+    """Return the fit's error (n,) at each point, from its distance to the curve at its parameter u (n,).
+
+    Or, if larger, the distance of the curve from the polyline on the way to the next point.
+    """
     point = path[segments.at]
     gap = _evaluate_segments(control, segments.segment, u) - point
     error = _dot(gap, gap)
@@ -246,7 +259,7 @@ def _compute_distances(control: Float, path: Float, segments: _Segments, u: Floa
 
 
 def _reparametrise(control: Float, path: Float, segments: _Segments, u: Float) -> Float:
-    """Apply Newton's step of each parameter towards the curve's nearest point, if parameters stay ascending."""
+    """Move each parameter u (n,) by a Newton step towards the curve's nearest point, if parameters stay ascending."""
     v, segment = 1.0 - u, segments.segment
     first = 3.0 * np.diff(control, axis=1)
     second = 2.0 * np.diff(first, axis=1)

@@ -44,7 +44,7 @@ class Keyframes:
 
 
 def make_eased_travel(distance: float, speed: float, ramp_s: float, start_s: float = 0.0) -> Keyframes:
-    """Make keyframes of travel from 0 to `distance` at constant speed, with S-shaped ramps at both ends.
+    """Make keyframes of a motion from 0 to `distance` at constant speed, with S-shaped starts and stops of `ramp_s`.
 
     Acceleration is continuous. The travel takes distance / speed + ramp; a ramp longer than distance / speed is
     shortened to it, so that the speed is reached on any distance.
@@ -77,7 +77,8 @@ def fit_keyframes(time: ArrayLike, value: ArrayLike, tolerance: float, *, rising
     tolerance : float
         Largest error at any sample; a quantity that stays within it gets two keys.
     rising : bool
-        True if the value never falls; then the keys do not either (slopes limited after Fritsch and Carlson 1980).
+        True if the value never falls; then the curve between keys does not either (slopes limited after Fritsch and
+        Carlson 1980).
 
     Returns
     -------
@@ -123,7 +124,7 @@ class FCurve:
     key, left, right : ndarray, shape (k, 2)
         Frame and value of keyframes and their handles, ascending in time.
     interpolation : tuple of str
-        `CONSTANT`, `LINEAR` or `BEZIER` from each key to the next.
+        Interpolation from each key to the next: `CONSTANT`, `LINEAR` or `BEZIER`.
     """
 
     key: Float

@@ -82,7 +82,7 @@ def clamp_force(force: ArrayLike, frames: ArrayLike, *, where: str, max_force: f
 
 
 def clamp_progress(progress: ArrayLike, frames: ArrayLike, *, where: str) -> Float:
-    """Clamp progress (n,) to 0–1; raise StrokeError as `clamp_force`."""
+    """Clamp progress along a curve (n,) to 0–1; raise StrokeError with the first frame whose value is not finite."""
     return np.clip(_check_finite(progress, frames, "progress", where), 0.0, 1.0)
 
 
@@ -100,7 +100,7 @@ def _check_finite(values: ArrayLike, frames: ArrayLike, name: str, where: str) -
 
 
 def check_motion(motion: MotionProfile, *, where: str) -> MotionProfile:
-    """Return `motion`; raise StrokeError if it is faster than `MAX_SPEED_M_S`, before anything is rendered for it."""
+    """Return `motion`; raise StrokeError if it is faster than `MAX_SPEED_M_S`."""
     fastest = float(np.abs(motion.velocity).max(initial=0.0))
     if not fastest <= MAX_SPEED_M_S:
         raise StrokeError(
@@ -112,10 +112,9 @@ def check_motion(motion: MotionProfile, *, where: str) -> MotionProfile:
 
 
 def make_motion_from_progress(progress: Float, length_m: float, rate: float) -> MotionProfile:
-    """Make a motion from progress (n,), 0–1, of a curve's length.
+    """Make a motion from progress (n,), the fraction 0–1 of the curve's length at each sample of rate `rate` [Hz].
 
-    The velocity is a second-order difference, so that the knots of the curve, at which arc length is smooth, give no
-    spike.
+    The velocity is a second-order finite difference of the position.
     """
     position = progress * length_m
     if len(position) < 3:
@@ -133,10 +132,10 @@ def make_motion_at_speed(time: Float, length_m: float, speed_m_s: float) -> Moti
 
 
 def compute_travel_time(length_m: float, speed_m_s: float) -> float:
-    """Return the duration of `make_motion_at_speed` [s]."""
+    """Return the duration [s] of a motion over a length at constant speed with eased ends (`make_motion_at_speed`)."""
     return length_m / speed_m_s + min(RAMP_S, length_m / speed_m_s)
 
 
 def compute_speed_for_duration(length_m: float, duration_s: float) -> float:
-    """Return the speed at which `compute_travel_time` is `duration_s` [m/s]."""
+    """Return the speed [m/s] at which a motion with eased ends takes `duration_s`, inverse of compute_travel_time."""
     return length_m / (duration_s - min(RAMP_S, duration_s / 2.0))

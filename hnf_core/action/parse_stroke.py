@@ -80,8 +80,8 @@ def parse_stroke(words: str) -> Primitive:
     Returns
     -------
     Primitive
-        The stroke. Words for one of the eight primitives, and their names, give exactly that one; the name of any other
-        (letters, digits, points, hyphens) is parsed to the same primitive.
+        The stroke. Words or a name for one of the eight named primitives give exactly that one. Any other stroke gets a
+        name (letters, digits, points, hyphens), which parses to the same stroke again.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def parse_stroke(words: str) -> Primitive:
 
 
 class _ParsedWords:
-    """Quantities parsed so far, as (value, words) by quantity."""
+    """Quantities (verb, direction, force, speed) parsed so far, each with its value and the words that gave it."""
 
     def __init__(self, words: str) -> None:
         self.words = words
@@ -127,7 +127,10 @@ class _ParsedWords:
         return self.found.get(quantity, (default, ""))[0]
 
     def record(self, quantity: str, value: float | str, word: str) -> str:
-        """Record a quantity and return a space in its place; raise UsageError if another value was recorded before."""
+        """Record the value of a quantity; raise UsageError if another value was recorded before.
+
+        Returns a space, which replaces the word in the text.
+        """
         known = self.found.setdefault(quantity, (value, word))
         if known[0] != value:
             raise self.make_error(
@@ -149,7 +152,7 @@ class _ParsedWords:
         return self.record(quantity, value, text)
 
     def parse_word(self, word: str) -> bool:
-        """Parse one word; return False if it belongs to the direction."""
+        """Parse one word; return False if it is a direction word, which is parsed later together with the others."""
         if word in _DIRECTION_WORDS:
             return False
         if word not in _VOCABULARY:
@@ -270,7 +273,7 @@ def _format_direction(angle: float) -> str:
 
 
 def _build_vocabulary() -> dict[str, tuple[str, float | str] | None]:
-    """Return the meaning (quantity, value) of every word, None for filler words."""
+    """Return a mapping from every known word to (quantity, value), or to None for filler words."""
     meanings: dict[str, tuple[str, float | str] | None] = dict.fromkeys(_FILLER_WORDS.split())
     for kind, verbs in (("scrape", _SCRAPE_VERBS), ("rub", _RUB_VERBS)):
         for verb in verbs.split():

@@ -1,4 +1,4 @@
-"""Patches along a stroke: the fewest that cover its contacts, and the action u(t) in their tangent frames."""
+"""Patches (flat square frames on the surface) that cover a stroke, and its action u(t) in their tangent frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ REST_M_S = 1e-6
 
 
 def covers(patch: Patch, contacts: Contacts) -> Bool:
-    """Return a mask (n,) of the contacts well inside a patch: same slot, within `USABLE_SHARE`, normal within 25°."""
+    """Return a mask (n,) of the contacts well inside a patch, a flat square on the surface.
+
+    Same material slot, within `USABLE_SHARE` of the square, normal within 25°.
+    """
     local = contacts.point - patch.centre
     reach = USABLE_SHARE * patch.size_m / 2.0
     inside = (np.abs(patch.to_plane(contacts.point)) <= reach).all(axis=1) & (np.abs(local @ patch.normal) <= reach)
@@ -30,7 +33,7 @@ def covers(patch: Patch, contacts: Contacts) -> Bool:
 
 
 def plan_patches(contacts: Contacts, patch_size: float = PATCH_SIZE_M) -> tuple[tuple[Patch, ...], Int32]:
-    """Plan the fewest patches that cover a stroke in order.
+    """Choose the fewest patches (flat squares on the surface) that cover a stroke in order.
 
     Each new patch is centred as far ahead as it still covers the first sample that no earlier patch covers. A sample
     then belongs to the covering patch with the nearest centre, so that the choice depends on the position alone, and a
@@ -126,7 +129,7 @@ def _slice_contacts(contacts: Contacts, rows: slice) -> Contacts:
 
 
 def _assign_patches(contacts: Contacts, patches: list[Patch], touched: Bool) -> Int32:
-    """Return the covering patch with the nearest centre for each sample; of equals, the earlier one."""
+    """Return for each sample the patch with the nearest centre among those that cover it; −1 where not `touched`."""
     index = np.full(len(touched), -1, dtype=np.int32)
     best = np.full(len(touched), np.inf)
     for k, patch in enumerate(patches):
@@ -138,7 +141,7 @@ def _assign_patches(contacts: Contacts, patches: list[Patch], touched: Bool) -> 
 
 
 def _fill_direction(direction: Float, good: Bool) -> Float:
-    """Replace rows that are not good by the last good row before, else the first after; +x if none is good."""
+    """Replace directions (n, 2) that are not `good` by the last good one before, else the first after, else +x."""
     if not good.any():
         return np.tile([1.0, 0.0], (len(good), 1))
     last = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))

@@ -1,4 +1,4 @@
-"""Strokes drawn with a mouse or pen on a surface: from samples to a smooth path with keys of progress and force."""
+"""Strokes drawn with mouse or pen on a surface: from samples to a smooth path with keyframes of progress and force."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ class PenSamples:
 
 @dataclass(frozen=True)
 class PenStyle:
-    """Settings for drawn strokes.
+    """Settings for turning pen or mouse input into a stroke.
 
     Attributes
     ----------
     force_n : tuple of float
         Force of the lightest and the hardest touch of a pen [N].
     mouse_n : float
-        Force without pressure [N].
+        Force of a mouse, which has no pressure [N].
     smoothing_s : float
         Standard deviation of the Gaussian that removes the tremor of hand and pixels [s].
     speed_m_s : float or None
@@ -79,7 +79,7 @@ class PenStyle:
 
 @dataclass(frozen=True)
 class PenStroke:
-    """A fitted stroke.
+    """A drawn stroke, fitted by a Bézier path and keyframes.
 
     Attributes
     ----------
@@ -90,9 +90,9 @@ class PenStroke:
     duration_s : float
         Duration of the touch [s].
     progress : Keyframes or None
-        Keys 0–1; None if the speed is constant.
+        Keyframes of the fraction 0–1 of the path's length; None if the speed is constant.
     force : Keyframes
-        Keys [N].
+        Keyframes of the force [N].
     lifted : bool
         True if the hand left the surface in between.
     """
@@ -162,7 +162,7 @@ def fit_pen_stroke(
 def spread_times_evenly(count: int, before: float, now: float) -> Float:
     """Return times (count,) between `before` and `now` for events that arrived together at `now`.
 
-    Their own times are lost, and a hand moves evenly between two events of the window system.
+    The window system passes on several pointer samples with one time; the hand is taken to move evenly between.
     """
     return np.asarray(before + (now - before) * np.arange(1, count + 1) / count)
 
@@ -188,7 +188,7 @@ def _trim_to_touching(samples: PenSamples) -> PenSamples:
 
 
 def _resample_to_grid(samples: PenSamples, style: PenStyle) -> tuple[Float, Float, Float, Bool]:
-    """Return time, point, force [N] and touching at the action rate; a resting hand stays at its position."""
+    """Resample to 200 Hz: time [s], point [m], force [N] and touching; a resting hand stays at its position."""
     down = samples.touching
     if (samples.pressure[down] == 1.0).all():
         force_n = np.full(len(down), style.mouse_n)
@@ -211,7 +211,7 @@ def _resample_to_grid(samples: PenSamples, style: PenStyle) -> tuple[Float, Floa
 
 
 def _smooth_runs(values: Float, touching: Bool, width_s: float) -> Float:
-    """Smooth values (n, d) by a Gaussian inside each run of touching; the ends of a run stay."""
+    """Smooth values (n, d) by a Gaussian of standard deviation `width_s` in each run of touching; a run's ends stay."""
     smooth = values.copy()
     reach = int(np.ceil(3.0 * width_s * ACTION_RATE_HZ))
     if reach == 0:
@@ -233,7 +233,7 @@ def _smooth_runs(values: Float, touching: Bool, width_s: float) -> Float:
 
 
 def _compute_landing_envelope(touching: Bool) -> Float:
-    """Return an envelope (n,), 0 where the hand is off the surface, eased over `LANDING_S` before and after, else 1."""
+    """Return a factor (n,) on the force: 0 off the surface, rising and falling within `LANDING_S` on it, else 1."""
     off = np.flatnonzero(~touching)
     if len(off) == 0:
         return np.ones(len(touching))
@@ -247,7 +247,7 @@ def _compute_landing_envelope(touching: Bool) -> Float:
 
 
 def _compute_progress(point: Float, moved: Bool, path: FittedBezier, curve: ArcCurve) -> Float:
-    """Return the fraction (n,) of the fitted length at each sample; inside a segment it follows the drawn length."""
+    """Return each sample's fraction (n,) of the fitted length; inside a segment it follows the length drawn."""
     station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1))])
     knots = np.flatnonzero(moved)[path.index]
     segments = np.arange(curve.curve.segment_count)

@@ -1,8 +1,8 @@
 """The eight primitives of HNF+ (HNF, "Training"): three scrapes, each soft and hard, and two rubs.
 
 `Primitive` also represents any other scrape or rub, of its own direction, force and speed (`parse_stroke.py`).
-`make_path_curve` and `make_primitive_action` turn one into a planar path with keys of progress and force, and into an
-action on a flat surface.
+`make_path_curve` and `make_primitive_action` turn one into a planar path with keyframes of progress and force, and into
+an action on a flat surface.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SOFT_N, HARD_N, RUB_N = 0.5, 2.0, 1.0
 
 
 class Primitive(NamedTuple):
-    """A scrape or rub.
+    """A simple stroke: a straight scrape or a wandering rub.
 
     Attributes
     ----------
@@ -99,18 +99,18 @@ MIN_SIZE_M = 1e-4
 
 @dataclass(frozen=True)
 class PlanarPath:
-    """A primitive in a tangent plane.
+    """Path and timing of a primitive stroke in a tangent plane of the surface.
 
     Attributes
     ----------
     points : ndarray, shape (k, 2)
-        Knots of a smooth Bézier spline (`curves.make_smooth_curve`), centred at 0 [m].
+        Points that a smooth Bézier spline passes through (`curves.make_smooth_curve`), centred at 0 [m].
     cyclic : bool
         True if the path is closed.
     progress : Keyframes
-        Keys 0–1 of arc length.
+        Keyframes of the fraction 0–1 of the path's length.
     force : Keyframes
-        Keys [N].
+        Keyframes of the force [N].
     duration_s : float
         Duration [s].
     extent_m : float
@@ -126,7 +126,7 @@ class PlanarPath:
 
 
 def make_primitive_path(primitive: Primitive | str, *, size_m: float = SCRAPE_LENGTH_M, seed: int = 0) -> PlanarPath:
-    """Make the path of a primitive in a disc; a smaller one gives a shorter scrape, or a rub of more, smaller rounds.
+    """Make the path of a primitive in a disc; a smaller disc gives a shorter scrape, or a rub of more, smaller rounds.
 
     Parameters
     ----------
@@ -163,7 +163,10 @@ def make_primitive_path(primitive: Primitive | str, *, size_m: float = SCRAPE_LE
 
 
 def make_primitive_keyframes(primitive: Primitive, distance_m: float) -> tuple[Keyframes, Keyframes, float]:
-    """Make keys of progress (0–1) and force [N], and the duration [s], of a primitive on a path of a length [m]."""
+    """Make keyframes of progress (0–1) and force [N], and the duration [s], of a primitive stroke.
+
+    distance_m: length of its path.
+    """
     travel = make_eased_travel(distance_m, primitive.speed, RAMP_S, start_s=PRESS_S / 2)
     progress = Keyframes(travel.time, travel.value / distance_m, travel.slope / distance_m)
     duration = float(travel.time[-1]) + PRESS_S / 2

@@ -1,4 +1,4 @@
-"""Placement of primitives on a mesh: where a path fits, flat enough, facing outwards, with room for the hand."""
+"""Placement of ready-made strokes on a mesh: where a path fits, flat enough, facing outwards, with room for a hand."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ COARSE_STRIDE = 8
 
 @dataclass(frozen=True)
 class Placement:
-    """A position for a path.
+    """A position, orientation and size for a path on a mesh.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Placement:
     openness_m : float
         Free distance above, a member of `OPENNESS_M` [m].
     cost : float
-        Cost of the fit; lower is better.
+        Roughness and tilt of the surface under the path; lower is better.
     """
 
     centre: Float
@@ -66,8 +66,8 @@ def find_placements(
 ) -> Iterator[Placement]:
     """Yield placements of a path on a material slot, best first.
 
-    Order: where it fits largest in the open, then at less open positions, then smaller than 10 mm; among equals with
-    room around, then the flattest. The result is deterministic.
+    Order: positions with most free space above, where the path fits largest; then less open positions; then sizes below
+    10 mm. Among equals those with room around the path, then the flattest. The result is deterministic.
 
     Parameters
     ----------
@@ -105,9 +105,9 @@ def find_placements(
 
 
 def sample_candidates(mesh: TriangleMesh, slot: int) -> tuple[Float, Float, Float]:
-    """Return candidate frames: centres, tangents, normals (n, 3).
+    """Return candidate tangent frames for a placement: centres, x axes and normals, (n, 3) each.
 
-    Candidates are the centres of the slot's largest polygons, and points spread evenly over its area.
+    Candidates are the centres of the material slot's largest polygons, and points spread evenly over its area.
     """
     chosen = np.flatnonzero(mesh.slot == slot)
     corners = mesh.vertices[mesh.triangles[chosen]]
@@ -132,7 +132,7 @@ def sample_candidates(mesh: TriangleMesh, slot: int) -> tuple[Float, Float, Floa
 
 
 def _find_face_centres(mesh: TriangleMesh, chosen: NDArray[np.intp], area: Float) -> tuple[NDArray[np.intp], Float]:
-    """Return for the largest polygons the triangle that contains the centre, and its barycentric weights there."""
+    """Return for the largest polygons the triangle that contains the centre, and barycentric weights in it."""
     face = mesh.face[chosen]
     size = np.bincount(face, weights=area)
     largest = np.argsort(-size, kind="stable")[:LARGEST_FACE_COUNT]
@@ -199,7 +199,10 @@ def project_path(
 
 
 def to_world(frame: tuple[Float, Float, Float], path: Float, height: Float) -> Float:
-    """Return points (n, k, 3) at plane coordinates (k, 2) and heights (n, k) of tangent frames (n, 3) each."""
+    """Return points (n, k, 3) at plane coordinates `path` (k, 2) and heights (n, k) over n tangent frames.
+
+    frame: centres, x axes and normals, (n, 3) each.
+    """
     centre, x_axis, normal = (axis[:, None] for axis in frame)
     y_axis = np.cross(normal, x_axis)
     return np.asarray(centre + path[:, :1] * x_axis + path[:, 1:] * y_axis + height[..., None] * normal)
@@ -213,7 +216,7 @@ def _score_candidates(
     path: Float,
     size_m: float,
 ) -> tuple[Float, Float]:
-    """Return for each candidate the cost of the fit (inf if it does not fit), and the free distance above it [m]."""
+    """Return for each of n tangent frames the cost (inf if the path does not fit), and the free distance above [m]."""
     samples = PATH_SIZE_MARGIN * path[np.linspace(0, len(path) - 1, COST_POINT_COUNT).round().astype(int)]
     cost, height = compute_placement_cost(mesh, caster, slot, frame, samples, size_m)
     valid = np.flatnonzero(np.isfinite(cost))
@@ -266,7 +269,7 @@ def compute_placement_cost(
     -------
     cost : ndarray, shape (n,)
         Roughness and mean tilt; inf if the path leaves the slot, tilts over 35°, bulges over a third of its size or
-        jumps.
+        jumps in height.
     height : ndarray, shape (n, k)
         Heights above the tangent planes [m].
     """
@@ -289,6 +292,6 @@ def compute_placement_cost(
 
 
 def _stays_on_surface(height: Float, cosine: Float, on_slot: Bool, size_m: float) -> Bool:
-    """Return a mask (n,) of the paths whose points (n, k) are all on the slot, with little tilt and bulge."""
+    """Return a mask (n,) of the paths whose k points are all on the material slot, with little tilt and bulge."""
     is_flat = (cosine >= TILT_COSINE) & (np.abs(height) <= 0.35 * size_m)
     return np.asarray((on_slot & is_flat).all(axis=1))

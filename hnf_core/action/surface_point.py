@@ -1,4 +1,4 @@
-"""A single point of a mesh, given by its UV or its position, and the patch around it."""
+"""A single point of a mesh, given by its UV or its position, and the patch (flat square frame) around it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SurfacePoint:
     tangent_known : bool
         True if the UVs determine the direction of +x.
     patch : Patch
-        Patch around it, as of a stroke.
+        Flat square frame around it, of the kind that strokes are split into.
     notes : tuple of str
         Messages for a person.
     """
@@ -54,7 +54,7 @@ class SurfacePoint:
 
 
 def find_point_at_uv(mesh: TriangleMesh, uv: tuple[float, float], *, where: str = "") -> SurfacePoint:
-    """Find the point with a UV; where islands overlap, that of the first face, with a note.
+    """Find the surface point with a UV; where UV islands overlap, that of the first face, with a note.
 
     Parameters
     ----------
@@ -159,7 +159,10 @@ def find_point_near(mesh: TriangleMesh, point: Float, *, where: str = "") -> Sur
 
 
 def compute_uv_barycentric(uv: Float, uv_point: Float) -> Float:
-    """Compute barycentric weights (T, 3) of a UV point (2,) in triangles' corner UVs (T, 3, 2); −1 without UV area."""
+    """Compute barycentric weights (T, 3) of a UV point (2,) in triangles' corner UVs (T, 3, 2).
+
+    They are −1 for triangles without UV area.
+    """
     edge_a, edge_b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     area = edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0]
     offset = uv_point - uv[:, 0]

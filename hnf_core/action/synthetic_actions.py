@@ -1,4 +1,4 @@
-"""Synthetic actions for training and evaluation: steady, circular, or random and smooth in speed, force, direction."""
+"""Synthetic actions for training and evaluation: steady, circular, or with smooth random speed, force, direction."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _make_action(direction: Float, speed: Float, force: Float, probe: str) -> Ac
 
 
 def _draw_uniform_noise(count: int, bandwidth_hz: float, rng: np.random.Generator) -> Float:
-    """Draw smooth noise (count,), uniformly distributed in 0 … 1, band-limited before the mapping."""
+    """Draw smooth noise (count,), uniformly distributed in 0 … 1, by mapping band-limited Gaussian noise."""
     length = count + round(2.0 * ACTION_RATE_HZ / bandwidth_hz)  # the part that is cut off lets the two ends differ
     frequency = np.fft.rfftfreq(length, 1.0 / ACTION_RATE_HZ)
     spectrum = rng.standard_normal((2, len(frequency)))

@@ -48,8 +48,8 @@ from .staging import (
 class State(Enum):
     """End of an attempt.
 
-    FAILED: the command refused, which another attempt would only repeat. ACCIDENT: the process died. UNSEEN: this
-    worker lacks a file or has another version. STOPPED: the batch was stopped.
+    FAILED: the command reported an error, which another attempt would only repeat. ACCIDENT: the process died. UNSEEN:
+    this worker cannot see a file or has another version of the program. STOPPED: the batch was stopped.
     """
 
     DONE = "done"
@@ -74,11 +74,11 @@ class Outcome:
     seconds
         Duration of the command.
     earlier
-        Reasons why the attempts before it ended.
+        Reasons why earlier attempts at the job ended.
     worker
         HOST:PID of the worker.
     was_fresh
-        True if the result was there already and nothing was run.
+        True if a valid result was there already and nothing was run.
     """
 
     name: str
@@ -97,9 +97,9 @@ class Request:
     Attributes
     ----------
     name, words, out
-        As in Job.
+        Name of the job, the command without --out, and its output path in the job's folder, as in Job.
     inputs
-        Path → digest when the batch was planned.
+        Input path → content hash when the batch was planned.
     base
         Folder in which the command runs.
     folder
@@ -107,11 +107,11 @@ class Request:
     version
         Version of the program.
     run
-        Identity of this run of the batch, as the folder names it while the run may go on.
+        Identity of this run of the batch. It stands in a file in the batch's folder as long as the run may go on.
     retries
         Number of accidents after which no further attempt is made.
     earlier
-        Reasons why the attempts before it ended.
+        Reasons why earlier attempts at the job ended.
     """
 
     name: str
@@ -127,7 +127,7 @@ class Request:
 
     @property
     def key(self) -> str:
-        """Hash of everything that the result depends on, as far as the command names it."""
+        """Hash of the command, its input files and the program's version: all that the result depends on."""
         parts = (part for pair in sorted(self.inputs.items()) for part in pair)
         return content_hash(self.version, self.out, str(len(self.words)), *self.words, *parts)
 
@@ -137,7 +137,7 @@ class Request:
         return Path(self.folder) / self.name
 
     def should_retry(self, outcome: Outcome) -> bool:
-        """Return True if another attempt follows this outcome."""
+        """Return True if another attempt is to be made after this outcome."""
         return outcome.state is State.ACCIDENT and len(outcome.earlier) < self.retries
 
 
@@ -147,13 +147,13 @@ def encode_message(message: Request | Outcome) -> str:
 
 
 def parse_request(text: str) -> Request:
-    """Decode a request. Raises FileError if the text is none."""
+    """Decode a request from JSON text. Raises FileError if the text is no valid request."""
     record = _parse_record(text, Request)
     return Request(**(record | {name: tuple(record[name]) for name in ("words", "earlier")}))
 
 
 def parse_outcome(text: Any) -> Outcome:
-    """Decode an outcome, whatever a worker sent. Raises FileError if it is none."""
+    """Decode an outcome from what a worker sent. Raises FileError if that is no valid outcome."""
     record = _parse_record(text, Outcome)
     try:
         return Outcome(**(record | {"state": State(record["state"]), "earlier": tuple(record["earlier"])}))
@@ -196,7 +196,7 @@ POLL_S = 0.2
 
 @dataclass(frozen=True)
 class CommandResult:
-    """End of a command.
+    """How a command's process ended.
 
     code: its exit code, negative for the signal that killed it, None if it was stopped. stdout, stderr: their last
     lines.
@@ -222,7 +222,7 @@ def run_child(
     base
         Working directory.
     lock_descriptor
-        File descriptor that the child inherits; its lock shows that the child lives.
+        File descriptor that the child inherits; its lock shows other processes that the child is alive.
     should_continue
         Called every POLL_S; False stops the command.
 
@@ -323,7 +323,10 @@ def get_worker_name() -> str:
 
 
 def run_request(request: Request) -> Outcome:
-    """Check, run and publish one attempt. Raises HnfError if a file cannot be read or written."""
+    """Run one attempt at a job, unless its result is there or this worker is unsuitable, and publish the result.
+
+    Raises HnfError if a file cannot be read or written.
+    """
     folder = Path(request.folder)
     refusal = explain_unavailable(request)
     if refusal is not None:
@@ -350,7 +353,7 @@ def run_request(request: Request) -> Outcome:
 
 
 def explain_unavailable(request: Request) -> Outcome | None:
-    """Return the outcome of a request that this worker cannot run, None if it can."""
+    """Return an outcome that says why this worker cannot run a request, None if it can."""
     if read_run_id(Path(request.folder)) not in (None, request.run):
         return Outcome(request.name, State.STOPPED, STOPPED_REASON, earlier=request.earlier)
     why = explain_unsuitable_worker(request.folder, request.run, request.version, [request.base, *request.inputs])
@@ -358,7 +361,7 @@ def explain_unavailable(request: Request) -> Outcome | None:
 
 
 def explain_unsuitable_worker(folder: str, run: str, required_version: str, paths: list[str]) -> str:
-    """Return what this worker lacks for a batch, "" if nothing.
+    """Return in words what this worker lacks to run jobs of a batch, "" if nothing.
 
     Arguments and result are plain JSON values, because this function is sent to every worker.
 
@@ -367,7 +370,7 @@ def explain_unsuitable_worker(folder: str, run: str, required_version: str, path
     folder
         Folder of the batch.
     run
-        Identity of the run that the folder must name.
+        Identity of the run, which a file in the folder must hold.
     required_version
         Version of the program.
     paths
@@ -389,7 +392,7 @@ def explain_unsuitable_worker(folder: str, run: str, required_version: str, path
 
 
 def read_run_id(folder: Path) -> str | None:
-    """Return the run that may go on in the folder; None if the folder cannot be read."""
+    """Return the identity of the run that may go on in a batch's folder; None if the folder cannot be read."""
     try:
         return (folder / RUN_FILE_NAME).read_text(encoding="utf-8")
     except OSError:
@@ -399,7 +402,8 @@ def read_run_id(folder: Path) -> str | None:
 def make_continue_check(request: Request, clock: Callable[[], float] = time.monotonic) -> Callable[[], bool]:
     """Return a function that is False once the batch of this request was stopped.
 
-    A folder that cannot be read does not stop it, unless for more than MAX_UNREADABLE_S without a break. clock: [s].
+    The batch's folder says whether it may go on. If the folder cannot be read, False follows only after
+    MAX_UNREADABLE_S. clock: function that returns the time [s].
     """
     last_read = clock()
 
@@ -417,7 +421,8 @@ def make_continue_check(request: Request, clock: Callable[[], float] = time.mono
 def collect_earlier_failures(request: Request, abandoned: list[Path]) -> tuple[str, ...]:
     """Return why each attempt before this one ended.
 
-    An abandoned staging folder of the same run adds the reason that its worker was lost.
+    abandoned: staging folders (where a result is written) of dead attempts; one of the same run adds the reason that
+    its worker was lost.
     """
     for marker in (read_marker(staging) for staging in abandoned):
         if marker is not None and marker.run == request.run and len(marker.earlier) >= len(request.earlier):
@@ -428,7 +433,7 @@ def collect_earlier_failures(request: Request, abandoned: list[Path]) -> tuple[s
 def _publish_outcome(
     request: Request, staging: Path, result: CommandResult, began: float, earlier: tuple[str, ...]
 ) -> Outcome:
-    """Publish what a command has written: a result under the job's name, a final failure under NAME.failed."""
+    """Move what a command has written to its final folder: the job's name, or NAME.failed if no attempt follows."""
     state, why = summarise_outcome(result)
     is_last = state is State.FAILED or (state is State.ACCIDENT and len(earlier) >= request.retries)
     failed = request.result_folder.with_name(request.name + FAILED_SUFFIX)
@@ -458,7 +463,7 @@ def _publish_outcome(
 
 
 def _publish_abandoned(request: Request, abandoned: list[Path]) -> bool:
-    """Publish the finished result of a worker that died before it could; return whether there was one."""
+    """Publish a result that was finished by a worker which then died; return whether there was one."""
     for staging in abandoned:
         if is_fresh(read_record(staging), request.key, staging):
             (staging / MARKER_NAME).touch()
@@ -473,7 +478,7 @@ def _remove_folders(folders: list[Path]) -> None:
 
 
 def summarise_outcome(result: CommandResult) -> tuple[State, str]:
-    """Return how a command ended, and the reason in one line."""
+    """Return how a command's attempt counts (a State), and the reason in one line."""
     last_line = next((line for line in reversed(result.stderr) if line.strip()), "it said nothing")
     if result.code is None:
         return State.STOPPED, STOPPED_REASON

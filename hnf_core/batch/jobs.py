@@ -86,7 +86,7 @@ def make_job(name: str, command: Sequence[str], inputs: Iterable[str] = ()) -> J
 
 
 def reject_duplicates(jobs: Sequence[Job]) -> None:
-    """Raise UsageError if two jobs would write into one folder on some file system."""
+    """Raise UsageError if two jobs' folders have the same name, also but for upper and lower case."""
     names: dict[str, str] = {}
     for job in jobs:
         folder = unicodedata.normalize("NFC", job.name).casefold()
@@ -105,7 +105,7 @@ def make_folder_name(text: str) -> str:
 
 
 def _check_name(name: str) -> None:
-    """Raise UsageError if the name cannot be that of a folder."""
+    """Raise UsageError if a job's name cannot be the name of a folder."""
     if not _NAME.fullmatch(name) or name.endswith((FAILED_SUFFIX, ".")) or name == RECORD_NAME:
         raise UsageError(
             f"{name[:MAX_NAME_LENGTH]!r} cannot be the name of a job, which becomes a folder.",
@@ -138,7 +138,7 @@ def _split_out(words: list[str], name: str) -> tuple[tuple[str, ...], str]:
 
 
 def _check_out(value: str, words: Sequence[str], name: str) -> str:
-    """Return the output path in normal form. Raises UsageError if it leaves the job's folder."""
+    """Return the value of --out as a normalised relative path. Raises UsageError if it leaves the job's folder."""
     path = PurePosixPath(value)
     parts = path.parts
     is_folder = any(tuple(words[: len(head)]) == head for head in FOLDER_COMMANDS)
@@ -189,7 +189,7 @@ def make_combined_jobs(
     arguments
         Last words of every command.
     suffix
-        Suffix of the file that a job writes, under the job's name; "" if it writes a folder.
+        File suffix of a job's output, which is named after the job; "" if the output is a folder.
 
     Returns
     -------
@@ -221,7 +221,7 @@ def _format_name_token(option: str, value: str) -> str:
 
 
 def _make_job_name(text: str, what: str) -> str:
-    """Return the folder name for a text. Raises UsageError if there is none."""
+    """Return the job name made from a text. Raises UsageError, naming `what`, if no character of it is allowed."""
     name = make_folder_name(text)
     if not name:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""Run a whole batch: lock its folder, plan which jobs are not fresh, give them to dask workers, collect the outcomes.
+"""Run a whole batch: lock its folder, give the jobs without a valid result to dask workers, collect the outcomes.
 
 dask.distributed is imported here and nowhere else. Its own messages are pickled: whoever reaches a scheduler's port can
 run anything on its workers, so a cluster started here listens on 127.0.0.1 alone. The batch's own messages are JSON
@@ -47,9 +47,9 @@ from .staging import (
 
 @dataclass(frozen=True)
 class Plan:
-    """Work of a batch.
+    """Jobs of a batch, divided into those to run and those whose results are still valid.
 
-    needed: requests that must be run. fresh: names of the jobs whose results are present and still valid.
+    needed: requests to run. fresh: names of the jobs whose results are present and valid.
     """
 
     needed: tuple[Request, ...]
@@ -72,9 +72,9 @@ def make_plan(
     folder
         Folder of the batch.
     run
-        Identity of this run.
+        Identity of this run of the batch.
     retries
-        Attempts after an accident.
+        Further attempts at a job whose process or worker died.
 
     Returns
     -------
@@ -189,7 +189,7 @@ def _block_interrupts() -> Iterator[None]:
 
 
 def check_workers(client: Any, folder: str, run: str, version: str, paths: Sequence[str]) -> int:
-    """Return the number of workers.
+    """Return the number of dask workers, after checking that each can run the batch.
 
     Raises HnfError if there is none, or if one cannot see the folder or a file, or has another version of hnf.
     """
@@ -230,14 +230,14 @@ def run_requests(client: Any, requests: Sequence[Request]) -> Iterator[Outcome]:
 
 
 def _submit(client: Any, request: Request) -> Any:
-    """Submit an attempt to the workers and return its future."""
+    """Submit an attempt to the dask workers and return its future."""
     return client.submit(
         run_attempt, encode_message(request), pure=False, key=f"hnf-{request.run}-{request.name}-{len(request.earlier)}"
     )
 
 
 def _read_outcome(future: Any, request: Request) -> Outcome:
-    """Return the outcome of a future, also if it failed or its worker was lost."""
+    """Return the outcome of an attempt from its dask future, also if that failed or its worker was lost."""
     if future.status == "finished":
         try:
             return parse_outcome(future.result())
@@ -282,8 +282,8 @@ STOP_TIMEOUT_S = 10.0
 class BatchOptions:
     """Options of a batch.
 
-    scheduler: address, None for local workers. workers: number of local workers. retries: further attempts of a job
-    after an accident.
+    scheduler: address, None for local workers. workers: number of local workers. retries: further attempts at a job
+    whose process or worker died.
     """
 
     scheduler: str | None
@@ -300,17 +300,17 @@ class BatchSummary:
     jobs
         Number of jobs.
     skipped
-        Jobs whose results were fresh.
+        Number of jobs whose results were already present and valid.
     finished
-        Jobs that succeeded.
+        Number of jobs that succeeded.
     failed
         Last outcome of each job that failed.
     retried
-        Attempts beyond the first ones.
+        Number of attempts beyond the first of each job.
     workers
         Number of workers.
     seconds
-        Duration.
+        Duration of the batch [s].
     """
 
     jobs: int
@@ -334,7 +334,7 @@ def run_batch(
     options: BatchOptions,
     on_progress: ProgressCallback,
 ) -> BatchSummary:
-    """Run the jobs whose results are not fresh.
+    """Run those jobs of a batch that have no valid result yet.
 
     Whatever ends the batch, running commands are stopped, no half-written result is left, and finished results stay.
 
@@ -387,7 +387,7 @@ def run_batch(
 
 @contextlib.contextmanager
 def lock_folder(folder: Path) -> Iterator[str]:
-    """Lock the folder for one run and yield the run's identity, which the folder names while the run may go on.
+    """Lock a batch's folder for one run and yield the run's identity, kept in a file there while the run may go on.
 
     Raises FileError if the folder cannot be created or another batch has locked it.
     """
@@ -402,7 +402,7 @@ def lock_folder(folder: Path) -> Iterator[str]:
 
 
 def _stop_run(folder: Path) -> None:
-    """Withdraw the run's permission to go on, wait for its commands, and clean up."""
+    """Delete the run's identity from the folder, which stops its commands; wait for them, and clean up."""
     _write_run_id(folder, "")
     clean_up(folder, STOP_TIMEOUT_S)
 

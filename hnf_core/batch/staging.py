@@ -1,4 +1,4 @@
-"""Folders of results: digests of inputs, records of runs, and staging folders that become results by a rename.
+"""Result folders of jobs: hashes of inputs, records of runs, and staging folders renamed to results when done.
 
 A result depends on files, hashed by content, and on folders, hashed by their listing. `batch.json` in a job's folder
 records what was run, on what and how it ended, so that `is_fresh` can check whether this still holds. A running attempt
@@ -34,7 +34,7 @@ DATA_FOLDER = PACKAGES[0] / "data"
 
 
 def compute_digest(path: Path) -> str:
-    """Return the digest of a file's content or a folder's listing; "" if there is neither.
+    """Return a hash of a file's content or of a folder's listing; "" if there is neither.
 
     A listing holds paths, sizes and times of change; a folder may be a whole data set. Raises FileError if the path
     cannot be read.
@@ -144,13 +144,13 @@ class JobRecord:
     version
         Version of the program.
     inputs
-        Path → digest of the files and folders that the command names.
+        Path → content hash of the files and folders that the command names.
     found
-        Path → digest of other files that the scene refers to, "" if one changed while it was read.
+        Path → content hash of other files that the scene refers to, "" if one changed while it was read.
     outputs
-        Path in the folder → digest.
+        Path in the folder → content hash.
     exit_code, seconds
-        Of the last attempt.
+        Exit code and duration of the last attempt.
     attempts
         Number of attempts, this one included.
     worker
@@ -175,13 +175,13 @@ class JobRecord:
 
 
 def write_record(folder: Path, record: JobRecord) -> None:
-    """Write batch.json atomically. Raises FileError."""
+    """Write a job's record, batch.json, atomically. Raises FileError."""
     text = json.dumps({"schema": SCHEMA, **asdict(record)}, indent=1, ensure_ascii=False)
     write_text(folder / RECORD_NAME, text + "\n")
 
 
 def read_record(folder: Path) -> JobRecord | None:
-    """Read batch.json; None if there is none that this version understands."""
+    """Read a job's record, batch.json; None if there is none that this version understands."""
     try:
         record = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
         if record.pop("schema") != SCHEMA:
@@ -194,14 +194,15 @@ def read_record(folder: Path) -> JobRecord | None:
 
 
 def is_replaceable(folder: Path) -> bool:
-    """Return True if nothing is there, or a folder that a batch has made."""
+    """Return True if nothing exists at the path, or a folder that a batch has made."""
     return not (folder.exists() or folder.is_symlink()) or read_record(folder) is not None
 
 
 def is_fresh(record: JobRecord | None, key: str, folder: Path) -> bool:
-    """Return True if the record is of a success with this key, and neither outputs nor referenced files have changed.
+    """Return True if a job's result is still valid, so that it need not run again.
 
-    Raises FileError if a file cannot be read.
+    That is so if the record tells of a success with the same key (hash of command, inputs and version), and neither
+    outputs nor files the scene refers to have changed. Raises FileError if a file cannot be read.
     """
     return (
         record is not None
@@ -213,12 +214,12 @@ def is_fresh(record: JobRecord | None, key: str, folder: Path) -> bool:
 
 
 def hash_outputs(folder: Path) -> dict[str, str]:
-    """Return path → digest of the files that a command has written, without caches, hidden files and batch.json."""
+    """Return path → content hash of a command's output files, without caches, hidden files and batch.json."""
     return {path.relative_to(folder).as_posix(): compute_digest(path) for path in _list_results(folder)}
 
 
 def hash_referenced_files(folder: Path, since: float) -> dict[str, str]:
-    """Return path → digest of the outside files that a touched scene refers to, as its report lists them.
+    """Return path → content hash of the outside files that a scene refers to, as the report of `hnf touch` lists them.
 
     since: start of the command [s, file time]. A file changed later may have been read before, and gets "".
     """
@@ -231,7 +232,7 @@ def hash_referenced_files(folder: Path, since: float) -> dict[str, str]:
 
 
 def _digest_unchanged_since(path: Path, since: float) -> str:
-    """Return the digest of a file, "" if it changed later than `since` or cannot be read."""
+    """Return the content hash of a file, "" if it changed later than `since` or cannot be read."""
     try:
         return compute_digest(path) if path.stat().st_mtime < since else ""
     except (OSError, FileError):
@@ -256,7 +257,7 @@ _KINDS: dict[str, type | tuple[type, ...]] = {"str": str, "int": int, "float": (
 
 
 def _parse_field(record: dict[str, Any], name: str, kind: str) -> Any:
-    """Return the value of a field as JobRecord has it. Raises ValueError if it has another type."""
+    """Return a field of a JSON record as the type `kind` that JobRecord has. Raises ValueError for another type."""
     value = record[name]
     if kind in _KINDS:
         if not isinstance(value, _KINDS[kind]) or isinstance(value, bool):
@@ -279,9 +280,9 @@ EXIT_GRACE_S = 5.0
 
 @dataclass(frozen=True)
 class StagingMarker:
-    """Owner of a staging folder.
+    """Content of the marker file in a staging folder, which says who writes there.
 
-    run: the run of the batch. worker: HOST:PID. earlier: why each attempt before ended.
+    run: identity of the run of the batch. worker: HOST:PID. earlier: why each earlier attempt ended.
     """
 
     run: str
@@ -291,9 +292,10 @@ class StagingMarker:
 
 @contextlib.contextmanager
 def make_staging_folder(folder: Path, name: str, marker: StagingMarker) -> Iterator[tuple[Path, IO[str]]]:
-    """Create a staging folder and lock its marker; at the end keep only what a later attempt can use.
+    """Create the folder that an attempt writes into, and lock its marker file; at the end keep what is reusable.
 
-    A finished result is kept as it is. Raises FileError if the folder cannot be written.
+    Kept are a finished result, or else files that a later attempt can use. Raises FileError if the folder cannot be
+    written.
     """
     try:
         staging = Path(tempfile.mkdtemp(prefix=f".{name}~", suffix=STAGING_SUFFIX, dir=folder))
@@ -312,7 +314,7 @@ def make_staging_folder(folder: Path, name: str, marker: StagingMarker) -> Itera
 
 
 def find_staging_folders(folder: Path, name: str = "") -> list[Path]:
-    """Return the staging folders of a job ("" for all jobs), the latest first."""
+    """Return the folders that attempts at a job ("" for all jobs) have written into, the latest first."""
     folders = [
         path for path in folder.glob(f".{name}~*{STAGING_SUFFIX}" if name else f".*~*{STAGING_SUFFIX}") if path.is_dir()
     ]
@@ -329,7 +331,7 @@ def read_marker(staging: Path) -> StagingMarker | None:
 
 
 def is_abandoned(staging: Path, wait_s: float = EXIT_GRACE_S) -> bool:
-    """Return True if no process works in the staging folder, or none does within wait_s.
+    """Return True if no process works in the staging folder, now or at some time within wait_s.
 
     The lock of a marker ends with the last process that has it open.
     """
@@ -348,7 +350,7 @@ def is_abandoned(staging: Path, wait_s: float = EXIT_GRACE_S) -> bool:
 
 
 def remove_unreusable(staging: Path) -> None:
-    """Delete everything that a later attempt cannot reuse, and the folder itself if it is empty then."""
+    """Delete everything in a staging folder that a later attempt cannot reuse; delete an empty folder too."""
     for parent, folders, names in os.walk(staging, topdown=True):
         folders[:] = [name for name in folders if not (Path(parent) == staging and name == CACHE_NAME)]
         for path in (Path(parent, name) for name in names):
@@ -360,7 +362,7 @@ def remove_unreusable(staging: Path) -> None:
 
 
 def reuse_files(source: Path, staging: Path) -> None:
-    """Give a new attempt the cache and checkpoints of an earlier one.
+    """Link the cache and checkpoints of an earlier attempt (source) into the staging folder of a new one.
 
     These files are never written again, so hard links suffice where the file system has them.
     """
@@ -415,7 +417,7 @@ def make_conflict_error(path: Path) -> FileError:
 
 
 def clean_up(folder: Path, wait_s: float = EXIT_GRACE_S) -> list[Path]:
-    """Remove what attempts have left, except results and reusable files; return the staging folders still in use."""
+    """Remove what attempts have left, except results and reusable files; return staging folders still in use."""
     active = []
     for staging in find_staging_folders(folder):
         if is_abandoned(staging, wait_s):

@@ -202,7 +202,7 @@ def _add_excitation_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run_list(arguments: argparse.Namespace) -> int:
-    """List devices and profiles; return the exit code."""
+    """List audio devices and actuator profiles; return the exit code."""
     devices = list_devices()
     if arguments.json:
         print(json.dumps(_devices_to_json(devices), indent=1, ensure_ascii=False))
@@ -244,7 +244,7 @@ def _format_limits(profile: ActuatorProfile) -> str:
 
 
 def make_excitation(arguments: argparse.Namespace, full_scale_m_s2: float) -> Signal:
-    """Return a sweep or noise as the options say. Raises UsageError if they are invalid."""
+    """Return the test signal, a sweep or noise as the options say. Raises UsageError if they are invalid."""
     if not 0.0 < arguments.level <= 1.0:
         raise UsageError(
             f"--level {arguments.level:g} is no share of full scale.", remedy="Give more than 0, at most 1."
@@ -288,19 +288,19 @@ def run_measure(arguments: argparse.Namespace) -> int:
 
 
 def get_response(found: MeasuredProfile) -> Any:
-    """Return the response of a measured profile, which always has one."""
+    """Return the frequency response of a measured profile, which always has one."""
     assert found.profile.response is not None
     return found.profile.response
 
 
 def get_range(found: MeasuredProfile) -> tuple[float, float]:
-    """Return the range [Hz] of a measured profile, which always has one."""
+    """Return the frequency range [Hz] of a measured profile, which always has one."""
     assert found.profile.range_hz is not None
     return found.profile.range_hz
 
 
 def _get_excitation_and_recording(arguments: argparse.Namespace, base: ActuatorProfile) -> tuple[Signal, Signal, bool]:
-    """Return the played and the recorded signal at one rate, and whether the recording's m/s² are calibrated."""
+    """Return the test signal and its recording at one rate, and whether the recording's m/s² are calibrated."""
     from ..actuators.measure.accelerometer import Accelerometer, measure_actuator, resample_signal, simulate_measurement
 
     if (arguments.played is None) != (arguments.response is None) or (arguments.to is None) == (
@@ -418,7 +418,7 @@ def run_report(arguments: argparse.Namespace) -> int:
 
 
 def _make_empty_signal_error(found: Acceleration, profile: ActuatorProfile, where: str) -> FileError:
-    """Return the error that explains why there is no band to report."""
+    """Return the error that explains why no frequency band of a signal can be compared."""
     if found.peak_m_s2 == 0.0:
         return FileError("is silent: there is nothing to report.", where=where, remedy="Give a file with a vibration.")
     low, high = profile.range_hz or DEFAULT_RANGE_HZ

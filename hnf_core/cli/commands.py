@@ -80,14 +80,14 @@ def import_command(verb: str) -> ModuleType:
 
 
 def find_plugins(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points that installed packages register in a group, by name."""
+    """Return the Python entry points that installed packages register in a group, by name."""
     from importlib.metadata import entry_points  # takes some 50 ms, so it is imported only here
 
     return {point.name: point for point in entry_points(group=group)}
 
 
 def make_laboratory_error(words: str) -> UsageError:
-    """Return the error for a command that only a source checkout has."""
+    """Return the error for a command (its words) that exists only in a checkout of the source code."""
     return UsageError(
         f"hnf {words} belongs to the laboratory, which comes with a source checkout alone.",
         remedy=f"In a checkout: make env-test, then .venv/bin/hnf {words}",

@@ -1,4 +1,4 @@
-"""`hnf export`: write a signal in another format and report what was lost."""
+"""`hnf export`: write a signal in another file format and report what was lost."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def add_scale_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that define what 1 stands for."""
+    """Add the options that define which acceleration full scale, a sample of 1, stands for."""
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
         "--profile", metavar="NAME", help=f"an actuator, for full scale and range: {', '.join(PROFILES)}, or FILE.json"
@@ -65,7 +65,7 @@ def add_scale_options(parser: argparse.ArgumentParser) -> None:
 
 
 def get_scale(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, float] | None]:
-    """Return full scale [m/s²] and range [Hz] from the options or the profile, None if not given.
+    """Return full scale [m/s²] and frequency range [Hz] from options or actuator profile, None if not given.
 
     Raises UsageError if the profile is invalid.
     """
@@ -88,7 +88,7 @@ def check_output(out: Path, suffix: str, source: Path) -> None:
 
 
 def refuse_scene(scene: Path, provenance: Mapping[str, str], object_name: str | None) -> TouchedSurface:
-    """Raise a UsageError: a scene can be opened only with Blender."""
+    """Raise a UsageError; used for --scene where Blender, which alone can open a scene, is not running."""
     raise UsageError(
         f"{scene} can be opened with Blender alone, and this Python has no bpy.",
         remedy="Install it (pip install bpy==5.0.1, Python 3.11), or run: blender -b --command hnf export …",
@@ -103,7 +103,7 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -
     arguments : argparse.Namespace
         Parsed options.
     read_scene : callable
-        Maps --scene, the WAV's provenance and --object to the surface.
+        Function (--scene, the WAV's provenance, --object) → the surface touched.
 
     Returns
     -------
@@ -149,7 +149,7 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -
 
 
 def _explain_assumption(profile: str | None) -> str:
-    """Explain why full scale is the default and how to change it."""
+    """Return a note that the default full scale was assumed, and how to change it."""
     if profile in (None, GENERIC.name):
         return "an assumption, the generic voice coil's: another --profile or --full-scale say otherwise."
     return f"an assumption: '{profile}' does not state its largest acceleration. If you know it, give --full-scale."

@@ -36,11 +36,12 @@ def build_parser(
     Parameters
     ----------
     run_touch, run_export : callable
-        Run the commands that need Blender, which this package may not import.
+        Functions that run `hnf touch` and `hnf export`, which need Blender; this package may not import it.
     only : str or None
         The one command whose options are needed, "" for none; the others get only their help. None means all commands.
     subject : str
-        Subject of `hnf train`, so that subjects of other packages are loaded only if it is not one of this package.
+        Subject of `hnf train`, such as "field"; other packages' subjects are loaded only if it is not one of this
+        package.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""`hnf materials`: list the library, rank it by a name, or write one material to a file."""
+"""`hnf materials`: list the material library, rank it by likeness to a name, or write one material to a file."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List the library, rank it (--suggest), or write one material (--export); return the exit code.
+    """List the library, rank it for a name (--suggest), or write one material (--export); return the exit code.
 
     Raises UsageError, MaterialError or FileError.
     """
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def rank_suggestions(words: str) -> tuple[Suggestion, ...]:
-    """Rank the library by a name alone, best first.
+    """Rank the library's materials by how well they fit the words of a name, best first.
 
     A name that ends like an image file ("….png") is ranked as a texture, any other as a material. Raises UsageError if
     the name holds no letter.

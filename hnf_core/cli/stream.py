@@ -40,7 +40,8 @@ METER_WIDTH = 12
 class LevelMeter:
     """Level meter: one line that is redrawn on a terminal, else a plain line now and then.
 
-    The meter ends at `full_m_s2`. `duration_s` is the playing time, None if it plays until it is stopped.
+    The bar's full length is an RMS level of `full_m_s2`. `duration_s` is the playing time, None if it plays until it is
+    stopped.
     """
 
     def __init__(self, full_m_s2: float, duration_s: float | None, stream: TextIO | None = None) -> None:
@@ -86,7 +87,11 @@ WARM_TIME_CONSTANTS = 6.0
 
 
 def compute_checked_duration(duration_s: float, seconds: float | None, *, loop: bool, thermal_s: float) -> float:
-    """Return the duration [s] to check before playing; a loop is checked until it has warmed the coil."""
+    """Return how many seconds of playing are simulated beforehand to predict the limiter.
+
+    seconds: requested playing time, None for the whole signal. A loop is simulated until it has warmed the coil (time
+    constant thermal_s).
+    """
     plays_s = duration_s + WARM_TIME_CONSTANTS * thermal_s if loop else duration_s
     return min(plays_s if seconds is None else seconds if loop else min(seconds, duration_s), MAX_CHECKED_S)
 
@@ -111,7 +116,7 @@ def format_limit_warning(
     found : LimitingForecast
         The predicted changes.
     profile : ActuatorProfile
-        Profile of the actuator.
+        Profile (limits and response) of the actuator.
     device : SinkFormat
         Format and peak of the device.
     largest_m_s2 : float
@@ -224,7 +229,7 @@ def _check_arguments(arguments: argparse.Namespace, target: Target) -> None:
 
 
 def _make_source(found: Acceleration, gain: float, loop: bool, seconds: float | None) -> tuple[Source, float | None]:
-    """Return the source and its playing time [s], None if it plays without end."""
+    """Return the source of samples to play, and its playing time [s], None if it plays without end."""
     source, duration_s = BufferSource(found.samples * np.float32(gain), found.rate_hz, loop=loop), found.duration_s
     if seconds is None:
         return source, None if loop else duration_s

@@ -78,7 +78,7 @@ class _SignalMeter:
         self.max_amplitude, self.max_residual, self.square, self.peak = 0.0, 0.0, 0.0, 0.0
 
     def iterate_samples(self, chunks: Iterator[RenderedChunk], total: int) -> Iterator[NDArray[np.float64]]:
-        """Yield the samples of each chunk, record its largest emission and residual, and show the progress."""
+        """Yield the samples of each chunk, record its largest amplitude and evaluation error, and show the progress."""
         progress_bar, done = ProgressBar(), 0
         for chunk in chunks:
             self.max_amplitude, self.max_residual = (
@@ -119,13 +119,13 @@ def write_in_chunks(
     stroke : StrokeInput
         Action and material.
     seed : int
-        Seed of the carriers.
+        Seed of the noise.
     rate : float
         Output sample rate [Hz].
     facts : mapping of str to str
-        More provenance.
+        Further facts for the WAV's provenance, by name.
     tolerance : float or None
-        Largest relative error of adaptive sampling; None for the regular grid.
+        Largest relative RMS error of evaluating the field at fewer samples; None for exact evaluation.
     chunk_samples : int
         Samples computed at once.
 
@@ -177,7 +177,8 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     )
     material = parser.add_mutually_exclusive_group(required=True)
     material.add_argument(
-        "--material", metavar="NAME|FILE.hnf",
+        "--material",
+        metavar="NAME|FILE.hnf",
         help="a library material, see `hnf materials`, or words that name one; or one kept as a file",
     )
     material.add_argument("--weights", type=Path, metavar="FILE", help="a field trained for one material")

@@ -98,7 +98,7 @@ def make_touch_request(arguments: argparse.Namespace) -> TouchRequest:
 
 
 def _refuse_former_query(text: str) -> None:
-    """Raise a UsageError that names --at, which replaced --probe."""
+    """Raise a UsageError for the former meaning of --probe, which names its replacement --at."""
     raise UsageError(
         "--probe names the tip that touches, and a scene's strokes have their own.",
         remedy=f"To ask about one place: --at {text if ':' in text else 'OBJECT:u,v'}",

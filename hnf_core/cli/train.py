@@ -1,7 +1,7 @@
 """`hnf train`: train a field for one material, or the network that predicts tactile maps.
 
-`hnf train field` reads a data set or simulated recordings; `hnf train tactile-map` trains D_φ on paired views. Other
-packages register more subjects.
+`hnf train field` reads a data set or simulated recordings; `hnf train tactile-map` trains that network, D_φ, on pairs
+of photograph and touch. Other packages register more subjects.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def _find_pairs(arguments: argparse.Namespace, bar: ProgressBar) -> Path:
 
 
 def add_parser(verbs: Any, subject: str = "") -> argparse.ArgumentParser:
-    """Add `hnf train`; subjects of other packages are loaded only if `subject` is not one of this package."""
+    """Add `hnf train` and its subjects (what to train); those of other packages only if `subject` is not built in."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         "train",
         help=HELP["train"],

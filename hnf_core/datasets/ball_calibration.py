@@ -1,4 +1,4 @@
-"""Ball calibrations of touch sensors, as published by Taxim and ObjectFolder.
+"""Reader of ball-press calibrations of camera-based touch sensors, as published by Taxim and ObjectFolder.
 
 Z. Si & W. Yuan (2022), "Taxim: an example-based simulation model for GelSight tactile sensors", RA-L 7(2); R. Gao et
 al. (2022), "ObjectFolder 2.0", CVPR. dataPack.npz: f0 (H, W, 3) the untouched sensor, imgs (n, H, W, 3), both 8-bit in
@@ -68,7 +68,7 @@ class PolynomialTable:
 
 
 def read_ball_presses(path: Path, ball_radius_px: float) -> BallPresses:
-    """Read a dataPack.npz without pickle; raise FileError if it cannot be used."""
+    """Read ball presses from a dataPack.npz, without pickle; raise FileError if it cannot be used."""
     arrays = _read_npz(path, ("f0", "imgs", "touch_center"))
     background, frames, centre = arrays["f0"], arrays["imgs"], arrays["touch_center"]
     if frames.ndim != 4 or frames.shape[1:] != background.shape or frames.shape[3] != 3 or not len(frames):
@@ -84,7 +84,7 @@ def read_ball_presses(path: Path, ball_radius_px: float) -> BallPresses:
 
 
 def read_polynomial_table(path: Path) -> PolynomialTable:
-    """Read a polycalib.npz without pickle; raise FileError if it cannot be used."""
+    """Read the colour table from a polycalib.npz, without pickle; raise FileError if it cannot be used."""
     names = ("grad_r", "grad_g", "grad_b")
     channels = list(_read_npz(path, names).values())
     shape = channels[0].shape

@@ -41,7 +41,10 @@ def detect_quantity(text: str) -> str | None:
 
 
 def read_signals(path: Path) -> list[MeasuredSignal]:
-    """Read all quantities of one file; raise FileError if there are none, or their numbers are no signal."""
+    """Read all signals (acceleration, force, position, speed) in one XML file.
+
+    Raises FileError if there are none, or their numbers are no signal.
+    """
     root, where = read_xml(path), str(path)
     settings = {e.tag.lower(): (e.text or "").strip() for e in root.iter() if len(e) == 0 and (e.text or "").strip()}
     rate, rate_note = _read_rate(settings, where)
@@ -65,7 +68,7 @@ def read_signals(path: Path) -> list[MeasuredSignal]:
 
 
 def _walk(element: Element, above: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Element]]:
-    """Yield every element below and including `element`, with the tags on the path to it."""
+    """Yield every XML element below and including `element`, with the tags on the path to it."""
     names = (*above, element.tag)
     yield names, element
     for child in element:
@@ -88,7 +91,7 @@ def _read_rate(settings: dict[str, str], where: str) -> tuple[float, tuple[str, 
 
 
 def _read_array(element: Element, where: str) -> Float | None:
-    """Return an element's array (n,), or (n, k) if every value has k numbers; None if it is no array."""
+    """Return the numbers in an XML element (n,), or (n, k) if every value has k numbers; None if it is no array."""
     children = [child.text for child in element if child.tag.lower() == "value"]
     rows = [(text or "").replace(",", " ").split() for text in children]
     if not rows and len(element) == 0:
@@ -152,10 +155,10 @@ IMAGE_SUFFIXES = (".bmp", ".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 @dataclass(frozen=True)
 class HattFolder(DataSet):
-    """A user's copy of the toolkit.
+    """A user's copy of the Penn Haptic Texture Toolkit, read as a data set.
 
-    Models are recognised by their content (a modelSet); of several for one material, the one at 10 kHz counts. Other
-    XML files are recordings if their name, folder or first lines name a quantity.
+    Models are recognised by their content (a modelSet); of several for one material, the one with a 10 kHz sample rate
+    is used. Other XML files are recordings if their name, folder or first lines name a quantity.
     """
 
     folder: Path
@@ -182,7 +185,7 @@ class HattFolder(DataSet):
 
     @cached_property
     def _strokes(self) -> dict[str, dict[str, list[Path]]]:
-        """Files of the quantities of each stroke, by material."""
+        """Recording files by material and stroke: one file per quantity, or one for all."""
         models, recordings = self._files
         strokes_by_material: dict[str, dict[str, list[Path]]] = {}
         for path in recordings:
@@ -220,10 +223,10 @@ class HattFolder(DataSet):
         return None if path is None else HattProcess(replace(read_texture_model(path), material=known))
 
     def action_range(self, name: str) -> ActionRange:
-        """Return the range of a model or, without one, of the recordings.
+        """Return the range of speed and force in a material's model or, without one, in its recordings.
 
-        A model's range is from the least speed and force at which it is not silent (axes and corners of its hull are
-        additions of the toolkit) to the largest of its hull.
+        A model's range starts at the least speed and force at which it is not silent (its silent points at speed or
+        force 0 were added by the toolkit), and ends at its largest.
         """
         process = self.process(name)
         return compute_action_range(self.recordings(name)) if process is None else _get_hull_range(process.model)
@@ -249,7 +252,7 @@ def _normalise_spaces(name: str) -> str:
 
 
 def _match_material(stem: str, known: tuple[str, ...]) -> str:
-    """Return the known material that a file's stem ends with, a take number aside.
+    """Return the known material that a file's stem ends with, not counting a take number at the end.
 
     Otherwise return the text between the prefix and _<number>, _train or _test.
     """

@@ -24,7 +24,7 @@ Float = NDArray[np.float64]
 
 
 def polynomial_from_lsf(lsf: ArrayLike) -> Float:
-    """Convert rising LSFs (…, p) [rad] to coefficients (…, p + 1) of A(z) in powers of z⁻¹, the first 1.
+    """Convert line spectral frequencies (…, p) [rad] to filter coefficients (…, p + 1) of A(z) in z⁻¹, the first 1.
 
     A = (P + Q) / 2; Q has its roots at the 1st, 3rd, … LSF, P at the 2nd, 4th, …. Even p: Q times (1 + z⁻¹) and P times
     (1 − z⁻¹); odd p: P times (1 − z⁻²).
@@ -41,7 +41,7 @@ def polynomial_from_lsf(lsf: ArrayLike) -> Float:
 
 
 def lsf_from_polynomial(coefficients: ArrayLike) -> Float:
-    """Convert coefficients (p + 1,) of a minimum-phase A(z), the first 1, to LSFs (p,).
+    """Convert coefficients (p + 1,) of a minimum-phase A(z), the first 1, to line spectral frequencies (p,) [rad].
 
     Raises ValueError if the filter is not stable: its LSFs then do not rise within (0, π).
     """
@@ -61,7 +61,7 @@ def lsf_from_polynomial(coefficients: ArrayLike) -> Float:
 
 
 def _multiply_quadratics(cosines: Float) -> Float:
-    """Return Π (1 − 2 cos ω z⁻¹ + z⁻²), (2k + 1, …), of cosines (k, …)."""
+    """Return the coefficients (2k + 1, …) of Π (1 − 2 cos ω z⁻¹ + z⁻²), given cos ω (k, …)."""
     product = np.ones((1, *cosines.shape[1:]))
     for cosine in cosines:
         extended = np.zeros((len(product) + 2, *product.shape[1:]))
@@ -100,7 +100,7 @@ class TextureModel:
     speeds, forces : ndarray, shape (V,)
         Speed [m/s] and force [N] of each filter.
     triangles : ndarray of int64, shape (T, 3)
-        Indices into them, from 0 (the file counts from 1).
+        Corners, as indices into speeds and forces, from 0 (the file counts from 1).
     ar_lsf : ndarray, shape (V, p)
         Line spectral frequencies of the autoregressive part, in (0, π).
     ma_lsf : ndarray, shape (V, q)
@@ -108,11 +108,11 @@ class TextureModel:
     variances : ndarray, shape (V,)
         Variance of the excitation [(m/s²)²].
     gains : ndarray, shape (V,)
-        Gains; 1 in autoregressive models.
+        Gain of each filter; 1 in autoregressive models.
     friction : float or None
         Coulomb μ, if the file has it.
     max_speed, max_force : float
-        Largest speed [m/s] and force [N].
+        Largest speed [m/s] and force [N] of the model.
     notes : tuple of str
         Assumptions of the reader.
     """
@@ -134,7 +134,7 @@ class TextureModel:
 
 
 def read_texture_model(path: Path) -> TextureModel:
-    """Read a model file (10 kHz AR or 1 kHz ARMA).
+    """Read a HaTT texture model file (10 kHz AR or 1 kHz ARMA filters).
 
     Case of tags and blanks do not matter. Missing units, counts and maxima are assumed as the toolkit has them, and
     noted; missing LSFs are computed from the coefficients. Raises FileError, with the location in the file, for
@@ -193,7 +193,7 @@ def _read_unit(root: Element, tag: str, quantity: str, default: str, where: str,
 
 
 def _read_numbers(element: Element | None, where: str) -> Float:
-    """Return the numbers of <value> children or of the text; empty if there is no element or no text."""
+    """Return the numbers in an XML element's <value> children or its text; empty if there are none."""
     if element is None:
         return np.zeros(0)
     texts: Iterable[str | None] = [child.text for child in element] if len(element) else (element.text or "").split()

@@ -37,14 +37,14 @@ _CHUNK_POINTS = 8192
 
 @dataclass(frozen=True)
 class LocalFilters:
-    """Interpolated filters at n points.
+    """Filters of a texture model, interpolated at n pairs of speed and force.
 
     Attributes
     ----------
     triangle : ndarray of int64, shape (n,)
-        Row of the model's triangles.
+        Triangle around each point, a row of the model's triangles.
     weights : ndarray, shape (n, 3)
-        Barycentric weights.
+        Barycentric weights of the triangle's corners.
     ar_lsf : ndarray, shape (n, p)
         Line spectral frequencies of the autoregressive part.
     ma_lsf : ndarray, shape (n, q)
@@ -52,9 +52,9 @@ class LocalFilters:
     variance : ndarray, shape (n,)
         Variance of the excitation [(m/s²)²].
     gain : ndarray, shape (n,)
-        Gain.
+        Gain of the excitation.
     clamped_speed, clamped_force : ndarray of bool, shape (n,)
-        True if the requested point was outside the model.
+        True if the requested speed or force was outside the model's range.
     """
 
     triangle: NDArray[np.int64]
@@ -100,7 +100,7 @@ def _clamp(values: Float, largest: float, unit: float) -> tuple[Float, NDArray[n
 
 
 def _find_triangles(model: TextureModel, speed: Float, force: Float) -> tuple[NDArray[np.int64], Float]:
-    """Return the triangle that each point lies deepest in, and its barycentric weights there."""
+    """Return the model's triangle around each (speed, force), and the barycentric weights of its corners."""
     corner = np.stack([model.speeds / model.max_speed, model.forces / model.max_force], axis=1)[model.triangles]
     a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
@@ -113,7 +113,7 @@ def _find_triangles(model: TextureModel, speed: Float, force: Float) -> tuple[ND
 
 
 def compute_power_spectrum(model: TextureModel, speed_m_s: float, force_n: float, frequency_hz: ArrayLike) -> Float:
-    """Compute the exact one-sided power density [(m/s²)²/Hz] of a model.
+    """Compute the exact one-sided power density [(m/s²)²/Hz] of a texture model at one speed and force.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def compute_power_spectrum(model: TextureModel, speed_m_s: float, force_n: float
     Returns
     -------
     ndarray
-        The density.
+        The power density at each frequency.
     """
     frequency = np.asarray(frequency_hz, dtype=np.float64)
     local = interpolate_filters(model, speed_m_s, force_n)
@@ -148,7 +148,7 @@ def _evaluate_polynomial(coefficients: Float, turn: NDArray[np.complex128]) -> N
 
 @dataclass(frozen=True)
 class HattProcess:
-    """A texture model as a process: isotropic, one axis, 10 kHz; models of another rate are resampled, and noted so."""
+    """A texture model as a source of recordings: isotropic, one axis, 10 kHz (resampled, and noted, if needed)."""
 
     model: TextureModel
 
@@ -192,7 +192,7 @@ class HattProcess:
 
 @dataclass(frozen=True)
 class FilterStates:
-    """Filters of K blocks for B actions.
+    """Filter coefficients for B actions, constant within each of K blocks of 5 ms.
 
     Attributes
     ----------
@@ -207,9 +207,9 @@ class FilterStates:
     samples : int
         Number of samples to synthesise.
     warm_up : int
-        Number of samples before them.
+        Number of samples synthesised before them and discarded.
     notes : tuple of tuple of str
-        Notes of each action.
+        Notes for each action, such as speeds beyond the model.
     """
 
     ar: Float
@@ -266,7 +266,7 @@ def _draw_noise(seed: int, index: int, count: int) -> Float:
 
 
 def synthesise_autoregressive(states: FilterStates, noise: Float) -> Float:
-    """Synthesise (samples, B) [m/s²] from unit noise (warm_up + samples, B): a loop over time, all actions at once."""
+    """Filter unit noise (warm_up + samples, B) to signals (samples, B) [m/s²], for all B actions in one time loop."""
     order, width = states.ar.shape[1], noise.shape[1]
     excitation = _filter_moving_average(states, noise)
     total = len(noise)
@@ -292,5 +292,5 @@ def _filter_moving_average(states: FilterStates, noise: Float) -> Float:
 
 
 def get_block_index(states: FilterStates, sample: int) -> int:
-    """Return the index of the block of a sample of the noise."""
+    """Return the index of the 5 ms block whose filter a sample gets, counted with the warm-up samples."""
     return max(sample - states.warm_up, 0) // states.block_samples

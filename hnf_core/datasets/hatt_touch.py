@@ -40,7 +40,7 @@ _TAKE_SUFFIX = re.compile(r"(\d|gelsight|tactile|touch|img|image|frame|take|squa
 
 @dataclass(frozen=True)
 class HattTouchFolder:
-    """Folders of photographs and of touch images.
+    """Folders of photographs and of GelSight images of the same textures, read as pairs.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class HattTouchFolder:
 
     @cached_property
     def _photographs_by_material(self) -> dict[str, Path]:
-        """Photograph of each material; if some are called <material>_square, as in the toolkit, only those count."""
+        """Photograph of each material; if some are called <material>_square, as in the toolkit, others are ignored."""
         candidates = [
             path
             for path in find_files(self.photographs, IMAGE_SUFFIXES)
@@ -131,7 +131,8 @@ class HattTouchFolder:
     def _match_material(self, path: Path, named: dict[str, str]) -> str | None:
         """Match a touch image by the nearest folder named as a material, else by the start of its own name.
 
-        Words are compared one by one, so that Brick 1_2 is Brick 1 even if there is a Brick 12, and then run together.
+        Names are compared word by word, so that "Brick 1_2" is "Brick 1" even if there is a "Brick 12"; then without
+        spaces.
         """
         for part in reversed(path.relative_to(self.touch).parts[:-1]):
             if normalise_name(part) in named:
@@ -153,7 +154,7 @@ def _split_words(name: str) -> list[str]:
 
 
 def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
-    """Read one pair, touch and background resized to side × side pixels.
+    """Read a photograph with its touch image and sensor background, the latter two resized to side × side pixels.
 
     Raises FileError if a file is damaged, or touch and background differ in size.
     """

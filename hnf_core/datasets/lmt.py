@@ -44,16 +44,16 @@ _NAME_PATTERNS = (
 
 @dataclass(frozen=True)
 class LmtFolder(DataSet):
-    """A folder of one of the databases.
+    """A folder of one of the LMT haptic texture databases.
 
-    No action was recorded: a recording's `known` is empty and its notes list the assumptions.
+    The hand's motion was not recorded: speed and force are assumed, as notes say, and a recording's `known` is empty.
     """
 
     folder: Path
 
     @cached_property
     def _strokes(self) -> dict[str, dict[str, dict[str, Path]]]:
-        """Files of each axis ("" for a fused file), by material and take."""
+        """Files by material and take (stroke), one per axis or "" for a file with fused axes."""
         strokes_by_material: dict[str, dict[str, dict[str, Path]]] = {}
         spelling: dict[str, str] = {}
         for path in find_files(self.folder, (".txt",)):
@@ -92,7 +92,7 @@ class LmtFolder(DataSet):
         match_name(name, self.materials, str(self.folder))
 
     def action_range(self, name: str) -> ActionRange:
-        """Return the range that contains only the assumed action."""
+        """Return the range of speed and force, which contains only the assumed values."""
         match_name(name, self.materials, str(self.folder))
         return ActionRange((ASSUMED_SPEED_M_S,) * 2, (ASSUMED_FORCE_N,) * 2)
 
@@ -103,12 +103,12 @@ class LmtFolder(DataSet):
 
 
 def _is_dataset_name(stem: str) -> bool:
-    """Return True if a name follows the sets' patterns in any folder; <label>_<person> alone does not."""
+    """Return True if a file name alone shows that it is of the databases; <label>_<person> is too general."""
     return any(pattern.fullmatch(stem) for pattern in _NAME_PATTERNS[:2])
 
 
 def read_scan(files: dict[str, Path], material: str) -> Recording:
-    """Read one take.
+    """Read one take, the acceleration of one stroke.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Generation of tactile pairs: simulated tiles with photograph and touch, cut into views and written in shards.
+"""Generation of tactile pairs: simulated 20 mm tiles with photograph and touch, cut into views, written to files.
 
-Everything random comes from two seeds: that of the instance (colour, gloss, orientation) and that of the tile (heights,
-light, camera, object shape, positions of the views), so that two patches of one instance are two photographs of the
-same object. Shards are written in parallel, and a stopped run continues.
+Everything random comes from two seeds: that of the instance, a simulated material (colour, gloss, orientation), and
+that of the tile (heights, light, camera, object shape, positions of the views), so that two patches of one instance are
+two photographs of the same object. Shards are written in parallel, and a stopped run continues.
 """
 
 from __future__ import annotations
@@ -77,7 +77,11 @@ EXPOSURE, BALANCE = 0.25, 0.06
 
 @dataclass(frozen=True)
 class PairSizes:
-    """Numbers of training tiles, of instances per known class held out, and of instances per unseen class."""
+    """Amounts of data.
+
+    train: training tiles. instances: held-out materials per class that is trained on. unseen_instances: materials per
+    class that is not.
+    """
 
     train: int = 5000
     instances: int = 5
@@ -86,7 +90,7 @@ class PairSizes:
 
 @dataclass(frozen=True)
 class TileRequest:
-    """Request for one tile; a random surface has the class name "" and the instance seed −1."""
+    """What to simulate as one tile; a random surface has the class name "" and the instance seed −1."""
 
     class_name: str
     instance_seed: int
@@ -95,7 +99,7 @@ class TileRequest:
 
 
 def list_tile_requests(split: str, sizes: PairSizes, seed: int) -> tuple[TileRequest, ...]:
-    """List all tiles of a split; no instance is in two splits, no class of held-out-classes in another."""
+    """List the tiles of a split; no simulated material is in two splits, no held-out class in another split."""
     known = tuple(name for name in list_classes() if name not in UNSEEN_CLASSES)
     if split != TRAIN:
         names, count = (
@@ -136,21 +140,21 @@ class RenderedTile:
     height : ndarray of float32, shape (H, W)
         Heights [m].
     membranes : ndarray of float32, shape (sensor, 2, H, W)
-        Membrane slopes, in the order of PAIR_SENSORS.
+        Slopes of each touch sensor's gel membrane, in the order of PAIR_SENSORS.
     photograph : ndarray of float32, shape (3, H, W)
         Linear colour, 0 to 1, without camera blur and noise.
     depth : ndarray, shape (64, 64)
-        Macro depth of the tile [m].
+        Depth of the object's coarse shape [m].
     token : ndarray of float32, shape (TOKEN_DIM,)
-        Token of the tile.
+        Material token of the tile.
     mechanics : Mechanics or None
-        Mechanics; None for a random surface.
+        Stiffness, damping and friction; None for a random surface.
     turn : int
         Orientation, as in `rotate_tile`.
     unlit : bool
-        True for a base-colour texture.
+        True for a base-colour texture without light.
     rng : numpy.random.Generator
-        Generator in its current state.
+        Random generator, from which views and camera are drawn next.
     """
 
     height: Single
@@ -165,7 +169,7 @@ class RenderedTile:
 
 
 def make_tile(request: TileRequest) -> Pairs:
-    """Make the four views of one tile; the same request gives the same bytes on the same numpy."""
+    """Simulate one tile and cut its four views; the same request gives the same bytes on the same numpy."""
     tile = render_tile(request)
     periodic = np.concatenate([tile.height[None], tile.membranes.reshape(-1, *tile.height.shape)])
     views = [_cut_view(periodic, tile.photograph, tile.depth, factor, tile.rng) for factor in FACTORS]
@@ -188,7 +192,7 @@ def make_tile(request: TileRequest) -> Pairs:
 
 
 def render_tile(request: TileRequest) -> RenderedTile:
-    """Render one tile: surface, light and touch."""
+    """Simulate one tile: its surface, its photograph and its touch."""
     recipe, mechanics, appearance, turn = _sample_surface(request)
     rng = np.random.default_rng([1, request.tile_seed])
     height = _sample_random_height(request, recipe) if not request.class_name else height_map(recipe, request.tile_seed)
@@ -231,7 +235,7 @@ def render_tile(request: TileRequest) -> RenderedTile:
 
 
 def _sample_exposure(image: Single, rng: np.random.Generator) -> Single:
-    """Return factors (3,) of exposure and white balance under which most of the image is not overexposed."""
+    """Draw factors (3,) of exposure and white balance that leave most of the image below overexposure."""
     factors = np.exp(rng.uniform(-EXPOSURE, EXPOSURE) + rng.uniform(-BALANCE, BALANCE, 3))
     sample = image[::8, ::8]
     highlight = float(np.max((sample.mean(axis=(0, 1)) + 2.0 * sample.std(axis=(0, 1))) * factors))
@@ -239,7 +243,7 @@ def _sample_exposure(image: Single, rng: np.random.Generator) -> Single:
 
 
 def _sample_surface(request: TileRequest) -> tuple[SurfaceRecipe, Mechanics | None, SurfaceAppearance, int]:
-    """Sample everything that photographs of one instance share: recipe, mechanics, appearance and orientation."""
+    """Draw what all tiles of one simulated material share: recipe, mechanics, appearance and orientation."""
     if request.class_name:
         rng = np.random.default_rng([2, derive_seed(request.class_name), request.instance_seed])
         recipe, mechanics = sample_instance(request.class_name, request.instance_seed)
@@ -261,7 +265,7 @@ def _sample_random_height(request: TileRequest, recipe: SurfaceRecipe) -> Single
 
 
 def splice_spectra(low: Single, high: Single, crossover_per_m: float) -> Single:
-    """Splice two tiles: wavelengths longer than 1 / `crossover_per_m` from `low`, shorter ones from `high`."""
+    """Combine two height maps: wavelengths longer than 1 / `crossover_per_m` from `low`, shorter ones from `high`."""
     kx, ky = wavenumbers(low.shape[0], TILE_SIZE_M)
     is_long = np.hypot(kx, ky) < crossover_per_m
     spectrum = np.where(is_long, np.fft.rfft2(low), np.fft.rfft2(high))
@@ -277,7 +281,7 @@ def rotate_tile(tile: Single, turn: int) -> Single:
 def compute_slopes(spectrum: Complex, pixels: int, metres_per_pixel: float, sigma_m: float) -> tuple[Float, Float]:
     """Compute ∂h/∂x, ∂h/∂y (H, W) of a periodic tile under a Gaussian blur, from rfft2 of its height.
 
-    As `optics.gel_gradients` without padding, since a tile has no edge.
+    sigma_m: width of the blur. As `optics.gel_gradients` without padding, since a tile repeats periodically.
     """
     filter_x, filter_y = _compute_derivative_filters(pixels, metres_per_pixel, sigma_m)
     return (
@@ -298,7 +302,7 @@ def _compute_derivative_filters(pixels: int, metres_per_pixel: float, sigma_m: f
 def compute_membrane_slopes(
     spectrum: Complex, pixels: int, metres_per_pixel: float, sensor: Sensor
 ) -> tuple[Float, Float]:
-    """Compute ∂h/∂x, ∂h/∂y (H, W) of a sensor's membrane on a periodic tile."""
+    """Compute ∂h/∂x, ∂h/∂y (H, W) of a touch sensor's gel membrane pressed on a periodic height map."""
     gx, gy = compute_slopes(spectrum, pixels, metres_per_pixel, sensor.gel_sigma_m)
     if max(float(np.abs(gx).max()), float(np.abs(gy).max())) < 0.7 * sensor.max_slope:
         return gx, gy
@@ -306,7 +310,7 @@ def compute_membrane_slopes(
 
 
 def describe_tile(gx: Float, gy: Float, sensor: Sensor) -> Single:
-    """Compute the band descriptor's token (TOKEN_DIM,) of a complete tile, from its membrane's slopes."""
+    """Compute the material token (TOKEN_DIM,) of a tile by the band descriptor, from its membrane slopes."""
     mask = np.ones(gx.shape, dtype=bool)
     return describe(
         TactileMap(shade(gx, gy, sensor), None, mask, PITCH_M, sensor.name, 2 * PITCH_M, Route.MEASURED)
@@ -315,10 +319,10 @@ def describe_tile(gx: Float, gy: Float, sensor: Sensor) -> Single:
 
 @lru_cache(maxsize=16)
 def compute_decimation_matrix(factor: int, periodic: bool) -> Single:
-    """Return the decimation matrix D (512/factor, 512).
+    """Return the matrix D (512/factor, 512) that low-passes and decimates the rows of an image by a factor.
 
-    D X Dᵀ is `tactile.views.decimate_tile` of a periodic X; otherwise X is continued by reflection at its edges (a lit,
-    curved object is not periodic).
+    D X Dᵀ decimates an image X, as `tactile.views.decimate_tile`. If not `periodic`, X is continued by reflection at
+    its edges (for a photograph; heights are periodic).
     """
     size = TILE_PIXELS if periodic else 2 * TILE_PIXELS
     frequency = np.fft.rfftfreq(size)
@@ -335,7 +339,7 @@ def compute_decimation_matrix(factor: int, periodic: bool) -> Single:
 
 @dataclass(frozen=True)
 class _View:
-    """One view, as stored in `Pairs`."""
+    """One 64 × 64 view of a tile; arrays as in `Pairs`."""
 
     rgb: NDArray[np.uint8]
     depth: NDArray[np.float16]
@@ -344,7 +348,7 @@ class _View:
 
 
 def _cut_view(periodic: Single, photograph: Single, depth: Float, factor: int, rng: np.random.Generator) -> _View:
-    """Cut one view at a random position (the widest is the complete tile), in units of its own pitch."""
+    """Cut a view of 64 × 64 pixels, decimated by `factor`, at a random position; lengths become pixels of the view."""
     row, column = (int(start) for start in rng.integers(0, TILE_PIXELS // factor - VIEW_PIXELS + 1, 2))
     rows, columns = slice(row, row + VIEW_PIXELS), slice(column, column + VIEW_PIXELS)
     pitch = factor * PITCH_M
@@ -370,7 +374,7 @@ def _decimate_window(layers: Single, factor: int, rows: slice, columns: slice, p
 
 
 def simulate_camera(layers: Single, rng: np.random.Generator) -> Single:
-    """Convert light (3, n, n) to an image (n, n, 3), with slight blur and noise that grows like shot noise."""
+    """Convert linear light (3, n, n) to a camera image (n, n, 3), with slight blur and noise like shot noise."""
     sigma, noise = rng.uniform(*BLUR_PIXELS), rng.uniform(*NOISE)
     index = np.arange(layers.shape[-1])
     kernel = np.exp(-0.5 * np.square((index[:, None] - index[None, :]) / max(sigma, 0.05)))
@@ -396,7 +400,7 @@ WRITE_ORDER = (HELD_OUT_INSTANCES, HELD_OUT_CLASSES, TRAIN)
 
 @dataclass(frozen=True)
 class Shard:
-    """The content of one file; `shard_count` is the number of shards in its split."""
+    """What to write into one file of pairs; `shard_count` is the number of such files in its split."""
 
     path: Path
     requests: tuple[TileRequest, ...]
@@ -405,14 +409,14 @@ class Shard:
 
 
 def compute_recipe_key(split: str, sizes: PairSizes, seed: int, tiles_per_shard: int = TILES_PER_SHARD) -> str:
-    """Return a key that is equal for shards that belong together."""
+    """Return a hash of all generation settings, the same for all shard files of one data set split."""
     return content_hash(repr((RECIPE_VERSION, split, sizes, seed, tiles_per_shard)))
 
 
 def list_shards(
     folder: Path, split: str, sizes: PairSizes, seed: int, tiles_per_shard: int = TILES_PER_SHARD
 ) -> tuple[Shard, ...]:
-    """List the shards of a split, in order."""
+    """List the shards (files of pairs) that make up a split, in order."""
     requests = list_tile_requests(split, sizes, seed)
     starts = range(0, len(requests), tiles_per_shard)
     key = compute_recipe_key(split, sizes, seed, tiles_per_shard)
@@ -423,7 +427,7 @@ def list_shards(
 
 
 def is_complete(shard: Shard) -> bool:
-    """Return True if the file exists, is complete, and of this recipe."""
+    """Return True if a shard's file exists, is complete, and was made with the same settings."""
     if not shard.path.is_file():
         return False
     try:
@@ -434,7 +438,7 @@ def is_complete(shard: Shard) -> bool:
 
 
 def write_shard(shard: Shard) -> Path:
-    """Make the tiles of a shard and write its file atomically; the same shard gives the same bytes."""
+    """Simulate the tiles of a shard and write its file atomically; the same shard gives the same bytes."""
     for leftover in shard.path.parent.glob(f".{shard.path.stem}-*"):
         leftover.unlink(missing_ok=True)  # of a run that was killed while writing
     save_shard(
@@ -454,7 +458,7 @@ def write_pairs(
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     tiles_per_shard: int = TILES_PER_SHARD,
 ) -> int:
-    """Write the shards of all three splits that are not complete yet.
+    """Simulate and write the shard files of all three splits (training, two held-out) that are not complete yet.
 
     Parameters
     ----------
@@ -479,7 +483,7 @@ def write_pairs(
     Raises
     ------
     UsageError
-        If a split's folder has shards that this recipe does not.
+        If a split's folder has shard files that these settings do not give.
     FileError
         If the disk refuses.
     """

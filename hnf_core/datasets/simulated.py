@@ -42,7 +42,7 @@ FORCE_RANGE_N = (0.3, 3.0)
 
 @dataclass(frozen=True)
 class SimulatedProcess:
-    """A surface recipe with mechanics, stroked with each action's probe.
+    """A simulated material as a source of recordings: a surface recipe with mechanics, stroked by the action's probe.
 
     A seed draws the patches (the recipe's random parts) and the position on them where each stroke starts.
     """
@@ -94,7 +94,7 @@ class SimulatedProcess:
 
 @dataclass(frozen=True)
 class SimulatedLibrary(DataSet):
-    """The library's materials; there are no recordings and no photographs of them."""
+    """The library's materials as a data set that is simulated on demand; it has no recordings and no photographs."""
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -122,7 +122,7 @@ class SimulatedLibrary(DataSet):
 
 
 def build_stroke(action: Action, start_m: Float, rotation_rad: float = 0.0) -> Stroke:
-    """Build the path of an action at 10 kHz, preceded by `SETTLE_S` of its first state.
+    """Build the simulator's input, an action's path at 10 kHz, preceded by `SETTLE_S` of its first state to settle.
 
     Speed, direction and force are interpolated by cubics (R. G. Keys 1981, IEEE Trans. ASSP 29), since linear segments
     would excite the contact at every corner. Without contact the force is 0.
@@ -185,7 +185,7 @@ def _group_batches(row_order: Sequence[int], actions: Sequence[Action]) -> list[
 
 
 def _widen_recipe(recipe: SurfaceRecipe) -> SurfaceRecipe:
-    """Return the recipe for a tile `PATCH_TILES` times as wide: lattices repeat that many times more often on it."""
+    """Return a surface recipe for a tile `PATCH_TILES` times as wide, with lattices of the same wavelength."""
     lattices = tuple(
         replace(
             lattice,

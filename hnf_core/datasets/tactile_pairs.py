@@ -1,7 +1,8 @@
-"""Tactile pairs: views with appearance and macro depth, and their height and membrane slopes, on disk and in memory.
+"""Pairs of photograph and touch: views with colour and coarse depth, and their height and touch-sensor slopes.
 
-One tile (20 mm of an instance of a material, photographed once) gives one view at each of the four pitches of
-`tactile.views`; `pair_generation.py` makes and writes them.
+The pairs train the network that predicts tactile maps. One tile (a 20 mm square of a simulated material, photographed
+once) gives one view at each of the four pixel sizes of `tactile.views`; `pair_generation.py` makes and writes them to
+files, the shards.
 """
 
 from __future__ import annotations
@@ -32,34 +33,35 @@ _REMEDY = "Make the pairs again: tools/make_tactile_pairs.py continues where it 
 
 @dataclass(frozen=True)
 class Pairs:
-    """n views of t tiles; frame: column → +x, row → −y, ∂/∂y with y up.
+    """n views cut from t tiles (20 mm squares of a simulated surface); columns run along +x, rows along −y.
 
-    Lengths are in units of the view's pitch, so that slopes, heights and depths of all four pitches are one problem.
+    Lengths are in units of the view's pitch (pixel size), so that one network serves all four pitches.
 
     Attributes
     ----------
     rgb : ndarray of uint8, shape (n, 64, 64, 3)
         round(255 √linear), for `decode_rgb`.
     depth : ndarray of float16, shape (n, 64, 64)
-        Macro depth less its mean, growing away from the viewer.
+        Depth of the object's coarse shape less its mean, growing away from the viewer.
     height : ndarray of float16, shape (n, 64, 64)
         Height less its mean.
     slopes : ndarray of float16, shape (n, 2, 2, 64, 64)
-        Membrane slopes [PAIR_SENSORS][∂h/∂x, ∂h/∂y]; gel and slope limit applied at native pitch, then decimated.
+        Slopes of a touch sensor's gel membrane [PAIR_SENSORS][∂h/∂x, ∂h/∂y] (y up); gel blur and slope limit are
+        applied at the tile's full resolution, then decimated.
     pitch_index : ndarray of int64, shape (n,)
         Index in PITCHES_M.
     tile_index : ndarray of int64, shape (n,)
         Row of the tile's properties below.
     class_name : tuple of str, length t
-        Class, "" for a random surface.
+        Material class, "" for a random surface.
     instance_seed : ndarray of int64, shape (t,)
         Seed of `material_classes.sample_instance`, −1 for a random surface.
     tile_seed : ndarray of int64, shape (t,)
         Seed of the heights.
     patch : ndarray of int64, shape (t,)
-        0 or 1, the tile of the instance; two patches differ by tile seed, light and camera only.
+        0 or 1, number of the tile of one simulated material; the two differ by tile seed, light and camera only.
     token : ndarray of float32, shape (t, TOKEN_DIM)
-        Token of the complete tile by the band descriptor.
+        Material token of the complete tile, by the band descriptor (octave-band statistics).
     mechanics : ndarray of float32, shape (t, 3)
         Stiffness [N/m], damping ratio, friction; NaN if unknown.
     turn : ndarray of int64, shape (t,)
@@ -93,7 +95,7 @@ class Pairs:
 
     @property
     def pitch_m(self) -> NDArray[np.float64]:
-        """Pitch (n,) of each view [m per pixel]."""
+        """Pixel size (n,) of each view [m]."""
         return np.asarray(PITCHES_M)[self.pitch_index]
 
 
@@ -121,14 +123,14 @@ def concatenate_pairs(chunks: list[Pairs]) -> Pairs:
 
 
 def get_shard_path(folder: Path, split: str, index: int) -> Path:
-    """Return the path of a shard; raise UsageError for an unknown split."""
+    """Return the path of a shard (a file with part of a split's pairs); raise UsageError for an unknown split."""
     if split not in SPLITS:
         raise UsageError(f"no split is called {split!r}.", remedy=f"Choose one of {', '.join(SPLITS)}.")
     return folder / split / f"{index:04d}.safetensors"
 
 
 def save_shard(path: Path, pairs: Pairs, *, shard_count: int, key: str) -> None:
-    """Write a shard atomically; equal pairs give equal bytes.
+    """Write a shard (a file with part of a split's pairs) atomically; equal pairs give equal bytes.
 
     Parameters
     ----------
@@ -139,7 +141,7 @@ def save_shard(path: Path, pairs: Pairs, *, shard_count: int, key: str) -> None:
     shard_count : int
         Number of shards in the split.
     key : str
-        Key of the recipe, so that shards of different recipes are never mixed.
+        Hash of all generation settings (recipe), so that shards of different recipes are never mixed.
 
     Raises
     ------
@@ -152,7 +154,7 @@ def save_shard(path: Path, pairs: Pairs, *, shard_count: int, key: str) -> None:
 
 
 def load_shard(path: Path) -> tuple[Pairs, int, str]:
-    """Load a shard: its pairs, the number of shards in its split, and the recipe's key; raise FileError."""
+    """Load a shard file: its pairs, the number of shards in its split, and the recipe's key; raise FileError."""
     try:
         tensors, metadata = load_tensors(path.read_bytes())
         if metadata.get("format") != FORMAT:
@@ -166,7 +168,7 @@ def load_shard(path: Path) -> tuple[Pairs, int, str]:
 
 
 def load_pairs(folder: Path, split: str, *, partial: bool = False) -> Pairs:
-    """Load a complete split into memory (about 60 kB a view).
+    """Load the pairs of a complete split (training or held-out) into memory, about 60 kB a view.
 
     Parameters
     ----------

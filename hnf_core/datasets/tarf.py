@@ -43,7 +43,7 @@ _REMEDY = "Get the split file again from the data set."
 
 @dataclass(frozen=True)
 class TarfFolder:
-    """A folder of the data set.
+    """A folder of the Tactile-Augmented Radiance Fields data set.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class TarfFolder:
 
 
 class _FolderListing:
-    """Cached listing of folders."""
+    """Cached listing of the data set's folders, to find the files of a pair."""
 
     def __init__(self, root: Path, scale: str) -> None:
         self._root, self._scale = root, scale
@@ -153,7 +153,7 @@ class _FolderListing:
 
 
 def read_split(path: Path) -> dict[str, list[tuple[str, str]]]:
-    """Read scene and index of the pairs of each split.
+    """Read the (scene, index) of the pairs in each split from a split file.
 
     Raises FileError if it is no such JSON, or a name would lead out of the folder.
     """
@@ -183,7 +183,7 @@ def read_split(path: Path) -> dict[str, list[tuple[str, str]]]:
 
 
 def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
-    """Read one pair at side × side pixels; raise FileError if a file is damaged or shapes do not fit together."""
+    """Read view, depth and touch of one pair at side × side pixels; raise FileError if a file is damaged or misfits."""
     rgb, touch = read_photograph(files.rgb), read_touch_image(files.touch)
     depth = None if files.depth is None else read_depth(files.depth, MAX_DEPTH_M)
     background = None if files.background is None else read_touch_image(files.background)

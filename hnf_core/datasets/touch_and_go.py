@@ -47,7 +47,7 @@ _CATEGORY_LINE = re.compile(r"\s*(\S.*?)\s*:\s*(\d{1,9})\b.*")
 
 @dataclass(frozen=True)
 class TouchAndGoFolder:
-    """A folder of the data set.
+    """A folder of the Touch and Go data set.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class TouchAndGoFolder:
 
     @cached_property
     def pairs(self) -> FilePairs:
-        """Pairs of all moments with both frames, ordered by recording and moment; only labelled ones if labels exist.
+        """Pairs of camera and touch frames of one moment, ordered by recording; only labelled ones if labels exist.
 
         Notes count what was left out. Raises FileError if there are none, or label.txt is another kind of file.
         """
@@ -140,7 +140,7 @@ class TouchAndGoFolder:
 
 
 def read_labels(path: Path, left_out: Counter[str]) -> dict[tuple[str, str], int]:
-    """Read the class, 0 to 19 or `UNDECIDED_LABEL`, of each (recording, moment).
+    """Read the material class, 0 to 19 or `UNDECIDED_LABEL`, of each (recording, frame number).
 
     Unusable lines are counted in `left_out`, by reason. Raises FileError if the file cannot be read, a line leads out
     of the folder, or most lines are no labels.
@@ -182,7 +182,7 @@ def read_labels(path: Path, left_out: Counter[str]) -> dict[tuple[str, str], int
 
 
 def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
-    """Read one pair at side × side pixels; raise FileError if a file is damaged."""
+    """Read one pair of camera and touch frame at side × side pixels; raise FileError if a file is damaged."""
     return VisionTouchPair(
         rgb=resize_by_area(crop_centre_square(read_photograph(files.rgb)), side),
         depth_m=None,
@@ -196,7 +196,7 @@ def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
 
 
 def _list_images_by_stem(folder: Path) -> dict[str, Path]:
-    """List images by stem; of two formats of one name the .jpg counts, as in the published lists."""
+    """List a folder's images by file stem; of two formats of one name the .jpg is used, as in the published lists."""
     names = sorted(
         list_file_names(folder), key=lambda name: (not name.lower().endswith((".jpg", ".jpeg")), name), reverse=True
     )

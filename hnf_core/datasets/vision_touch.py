@@ -81,7 +81,7 @@ class VisionTouchPair:
 
 
 class VisionTouchPairs(Protocol):
-    """Interface of lazy sequences of pairs: everything but an item is known without opening an image."""
+    """Interface of lazy sequences of photograph and touch pairs: labels and places are known without opening images."""
 
     def __len__(self) -> int: ...
 
@@ -91,23 +91,23 @@ class VisionTouchPairs(Protocol):
 
     @property
     def labels(self) -> tuple[str | None, ...]:
-        """Label of each pair."""
+        """Material label of each pair, None if unknown."""
         ...
 
     @property
     def locations(self) -> tuple[str, ...]:
-        """`where` of each pair."""
+        """Location (scene, recording or texture) of each pair, its `where`."""
         ...
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Assumptions, and counts of what was left out."""
+        """Assumptions of the reader, and counts of the pairs that were left out, in words."""
         ...
 
 
 @dataclass(frozen=True)
 class PairFiles:
-    """Files of one pair; fields as in `VisionTouchPair`."""
+    """Paths of the files of one photograph and touch pair; fields as in `VisionTouchPair`."""
 
     rgb: Path
     touch: Path
@@ -119,7 +119,7 @@ class PairFiles:
 
 @dataclass(frozen=True)
 class FilePairs(Sequence[VisionTouchPair]):
-    """Pairs in files, each read when it is accessed and not cached; `read` converts files to a pair."""
+    """Photograph and touch pairs in files, each read when accessed and not cached; `read` converts files to a pair."""
 
     entries: tuple[PairFiles, ...]
     read: Callable[[PairFiles], VisionTouchPair]
@@ -139,12 +139,12 @@ class FilePairs(Sequence[VisionTouchPair]):
 
     @property
     def labels(self) -> tuple[str | None, ...]:
-        """Label of each pair."""
+        """Material label of each pair, None if unknown."""
         return tuple(entry.label for entry in self.entries)
 
     @property
     def locations(self) -> tuple[str, ...]:
-        """`where` of each pair."""
+        """Location (scene, recording or texture) of each pair, its `where`."""
         return tuple(entry.where for entry in self.entries)
 
 
@@ -158,7 +158,7 @@ def split_by_location(pairs: FilePairs, seed: int, shares: Mapping[str, float] =
     seed : int
         Seed of the order in which locations are assigned.
     shares : mapping of str to float
-        Fraction of each split.
+        Fraction of the pairs for each split, by its name.
 
     Returns
     -------
@@ -193,7 +193,7 @@ def split_by_location(pairs: FilePairs, seed: int, shares: Mapping[str, float] =
 
 
 def get_split(pairs: FilePairs, name: str, seed: int, where: str) -> FilePairs:
-    """Return one split of `split_by_location` with `SPLIT_SHARES`.
+    """Return one split (train, val or test) of pairs, with no location in two splits (`split_by_location`).
 
     `where` names the folder in messages. Raises UsageError for an unknown split, FileError if there are too few
     locations.
@@ -225,7 +225,7 @@ def iterate_readable(pairs: VisionTouchPairs, skipped: list[FileError]) -> Itera
 
 
 def format_left_out(left_out: Counter[str]) -> tuple[str, ...]:
-    """Format reasons with their counts as notes, the most frequent first: "3 left out: no touch image"."""
+    """Format reasons why pairs were left out, with counts, the most frequent first: "3 left out: no touch image"."""
     return tuple(f"{count} left out: {reason}" for reason, count in left_out.most_common() if count)
 
 
@@ -254,7 +254,7 @@ def read_photograph(path: Path) -> Float32:
 
 
 def read_touch_image(path: Path) -> Float32:
-    """Read a touch sensor's image as code values / 255 (H, W, 3), in the formats of `read_photograph`.
+    """Read a touch sensor's image as code values / 255 (H, W, 3), not linearised, from JPEG, PNG or BMP.
 
     Measured on a real GelSight (docs/optics.md), code values are closer to linear in the membrane's normal than decoded
     ones. Raises FileError as `read_photograph`.

@@ -1,10 +1,11 @@
-"""Evaluate F_Θ at as few samples of an action as keep the whole stroke within a tolerance.
+"""Evaluate the field F_Θ at only as many samples of a stroke as a given error tolerance needs.
 
 Amplitudes follow the action, which is slow most of the time and turns within milliseconds where a hand lands or
 reverses. They are evaluated on a coarse grid of samples, then in the middle between neighbours; where the middle is off
 the straight line, further, the largest errors first, until the power that is missed over the whole stroke is within the
-tolerance. `find_breakpoints` adds the samples where the action itself bends, since a tap, a stop or a push shorter than
-the grid's interval would be missed otherwise. The reference evaluates every sample.
+tolerance. `find_breakpoints` adds the samples where the action itself bends, since a short touch, a stop or a push
+shorter than the grid's interval would be missed otherwise. Exact evaluation, which the tolerance is relative to, takes
+every sample.
 """
 
 from __future__ import annotations
@@ -54,11 +55,11 @@ MAX_EVALUATIONS = 40_000
 
 @dataclass(frozen=True)
 class SampledEmission:
-    """Emissions of one head at samples at (m,), ascending, with straight lines between them.
+    """Field output (amplitudes α, densities σΔt) at m chosen samples, linear in time between them.
 
-    alpha: (m, K). sigma_dt: (m, N). residual_power: expected power left out, over that of all, from the errors in the
-    intervals' middles over TOLERANCE_SAFETY². It is within the square of the tolerance unless the samples did not
-    suffice.
+    at: (m,) ascending samples. alpha: (m, K) per carrier. sigma_dt: (m, N) per past state. residual_power: expected
+    power of the interpolation error over that of the signal, from the errors in the intervals' middles over
+    TOLERANCE_SAFETY². It is within the square of the tolerance unless MAX_EVALUATIONS did not suffice.
     """
 
     at: Samples
@@ -67,7 +68,7 @@ class SampledEmission:
     residual_power: float
 
     def locate(self, sample: Samples) -> tuple[Samples, Float]:
-        """Return the evaluation before each sample (…), and the fraction of the way to the next, 0 … 1."""
+        """Return per sample the row of the evaluation before it, and the fraction of the way to the next, 0 … 1."""
         row = np.clip(np.searchsorted(self.at, sample, side="right") - 1, 0, len(self.at) - 2)
         begin = self.at[row]
         return row, np.clip((sample - begin) / (self.at[row + 1] - begin), 0.0, 1.0)
@@ -78,9 +79,10 @@ EvaluateAt = Callable[[Samples], Emission]
 
 
 def interpolate_rows(values: Float32, row: Samples, share: Float, factor: Float) -> Float32:
-    """Sum interpolated rows: (n, K) Σ_t factor · ((1 − share) · values[row] + share · values[row + 1]).
+    """Sum interpolated rows of a table: (n, K) Σ_t factor · ((1 − share) · values[row] + share · values[row + 1]).
 
-    values: (m, K). row, share, factor: (n, terms).
+    values: (m, K) table. row, share, factor: (n, terms) row before, fraction of the way to the next, and weight of each
+    term.
     """
     compiled = load_kernel()
     if compiled is not None:
@@ -95,16 +97,16 @@ def interpolate_rows(values: Float32, row: Samples, share: Float, factor: Float)
 def sample_adaptively(
     evaluate_at: EvaluateAt, count: int, tolerance: float, breakpoints: Samples | None = None
 ) -> SampledEmission:
-    """Sample the emissions over 0 … count of a field with one head, where straight lines between fewer would miss.
+    """Evaluate a field with one head at few samples of 0 … count, and at more where linear interpolation is off.
 
     Parameters
     ----------
     evaluate_at
-        Function that evaluates the field at samples of the model rate.
+        Function (samples at 10 kHz) → the field's output there.
     count
         Number of samples of the stroke.
     tolerance
-        Root of the power that the straight lines miss over that of the stroke, 0 for the smallest intervals.
+        Largest RMS of the interpolation error over the RMS of the stroke; 0 for the smallest intervals.
     breakpoints
         Samples that are evaluated in any case.
 
@@ -147,7 +149,10 @@ def sample_adaptively(
 
 
 class _Evaluations:
-    """Evaluations in the order they were made; an interval is the rows (p, 2) of its two ends."""
+    """Evaluations in the order they were made.
+
+    An interval between two of them is given by their row numbers: intervals is (p, 2).
+    """
 
     def __init__(self, evaluate_at: EvaluateAt) -> None:
         self.count = 0
@@ -157,17 +162,17 @@ class _Evaluations:
         self._sigma_dt, self._power = np.zeros((0, 0)), np.zeros(0)
 
     def lengths(self, intervals: Samples) -> Samples:
-        """Return the lengths (p,) [samples]."""
+        """Return the lengths (p,) [samples] of intervals (p, 2)."""
         return np.asarray(self._at[intervals[:, 1]] - self._at[intervals[:, 0]])
 
     def middles(self, intervals: Samples) -> Samples:
-        """Return the samples (p,) in the middle."""
+        """Return the sample (p,) in the middle of each of the intervals (p, 2)."""
         return np.asarray(self._at[intervals].sum(axis=1) // 2)
 
     def bisect(self, intervals: Samples, rows: slice) -> tuple[Samples, Float]:
-        """Return the halves (2p, 2), and the power (p,) by which each straight line misses its middle.
+        """Return the halves (2p, 2) of the intervals, and the power (p,) of the interpolation error in each middle.
 
-        rows: of the middles, in the order of the intervals.
+        rows: rows of the evaluations in the middles, in the order of the intervals.
         """
         low, high = intervals.T
         share = ((self._at[rows] - self._at[low]) / (self._at[high] - self._at[low])).astype(np.float32)[:, None]
@@ -180,18 +185,18 @@ class _Evaluations:
         return np.concatenate([np.stack([low, between], 1), np.stack([between, high], 1)]), missed
 
     def total_power(self) -> float:
-        """Return the power of the straight lines, times samples."""
+        """Return the power of the interpolated amplitudes, summed over all samples."""
         order = np.argsort(self._at[: self.count])
         power, at = self._power[order], self._at[order]
         return float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(at)))
 
     def to_sampled_emission(self, residual_power: float) -> SampledEmission:
-        """Return the evaluations in the order of their samples."""
+        """Return the evaluations sorted by sample, as a SampledEmission."""
         order = np.argsort(self._at[: self.count])
         return SampledEmission(self._at[order], self._alpha[order], self._sigma_dt[order], residual_power)
 
     def add(self, at: Samples) -> slice:
-        """Evaluate the emissions at these samples; return their rows."""
+        """Evaluate the field at these samples, append the results, and return their rows."""
         begin = self.count
         for low in range(0, len(at), BATCH_SAMPLES):
             batch = at[low : low + BATCH_SAMPLES]
@@ -221,7 +226,7 @@ def _sum_squares(values: NDArray[np.floating[Any]]) -> Float:
 
 
 def _predict_child_error(found: Float, before: Float) -> Float:
-    """Predict the error in the middle of each half of an interval, as power (p,).
+    """Predict the interpolation error in the middle of each half of p intervals, as power (p,).
 
     found: (p,) error in the interval's own middle. before: (p,) error in the middle of the interval it is a half of, 0
     if there was none. A parabola leaves a 16th to each half, a kink or a jump all of it to one half, counted as half to
@@ -232,9 +237,9 @@ def _predict_child_error(found: Float, before: Float) -> Float:
 
 
 def accumulate_samples(config: FieldConfig, sampled: SampledEmission, count: int) -> tuple[Samples, Float32]:
-    """Return knots (m,) in 0 … count and the amplitudes (m, K) there, accumulated over past states.
+    """Return knots (m,), samples in 0 … count, and the amplitudes (m, K) there, weighted over the past states.
 
-    As field.accumulate, of interpolated emissions.
+    Does what field.accumulate does, on field outputs that are interpolated between the evaluated samples.
     """
     lag = config.stride * SAMPLES_PER_STATE
     # A bend occurs again one past state later; older states have only a hundredth of the weight.
@@ -254,10 +259,10 @@ F_Θ changes with them about one to one, and the effect of such a bend shows in 
 
 
 def find_breakpoints(action: Action, token_index: NDArray[np.int32]) -> Samples:
-    """Return the breakpoints of an action at ACTION_RATE_HZ, as samples of the model rate, ascending.
+    """Return the samples (10 kHz, ascending) at which an action bends or changes contact or material.
 
-    Between two of them the action is straight within MAX_DEVIATION, on one material, and throughout in contact or in
-    the air.
+    Between two of them log speed, log force and direction are straight lines within MAX_DEVIATION, on one material, and
+    throughout in contact or in the air.
     """
     force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
     speed = np.maximum(action.speed, SPEED_FLOOR_M_S)
@@ -274,7 +279,10 @@ def find_breakpoints(action: Action, token_index: NDArray[np.int32]) -> Samples:
 
 
 def _find_bends_numpy(course: Float, fixed: Samples) -> Samples:
-    """Find the bends in numpy; the reference of the kernel."""
+    """Return the rows of a course (n, channels) between which it is straight within MAX_DEVIATION, in numpy.
+
+    fixed: rows that are always included. Same result as compiled_carriers.find_bends.
+    """
     pending = list(zip(fixed[:-1].tolist(), fixed[1:].tolist(), strict=True))
     found = set(fixed.tolist())
     while pending:

@@ -1,10 +1,11 @@
-"""Modulate the carriers: Σ_k A_k(t) c_k, with amplitudes that are linear in time between knots.
+"""Modulate the carriers (noise bands c_k): Σ_k A_k(t) c_k, with amplitudes that are linear in time between knots.
 
-`render_carrier_hops` is the fast renderer, by the kernel or in numpy. Between two knots the bands are summed once per
-knot in a matrix product, which leaves two readings for a sample. Slow bands are read at a half or a quarter of the rate
-and upsampled at the end, octaves and time bands together. A hop depends only on the knots and positions within
-REACH_SAMPLES of it. `render_carriers_full_rate` computes the same at the full rate in float64, band by band: its
-reference, and the renderer of fields with N heads, whose carriers lag.
+`render_carrier_hops` is the fast renderer, by the compiled kernel or in numpy, in hops (fixed stretches of HOP_SIZE
+samples). Carriers run in time, or along the path for surface texture (arc length s). The amplitude is linear between
+two knots, so the bands are summed once with the amplitudes of either knot, in a matrix product, and the two sums
+cross-faded. Slow bands are computed at a half or a quarter of the rate and upsampled at the end. A hop depends only on
+the knots and positions within REACH_SAMPLES of it. `render_carriers_full_rate` computes the same at the full rate in
+float64, band by band: the exact version to compare with, and the renderer of fields with N heads, whose carriers lag.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ Samples = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Knots:
-    """Amplitudes at knots, linear in time between them and constant beyond.
+    """Carrier amplitudes at knots (points in time), linear in time between them and constant beyond.
 
     at: (m,) ascending samples of the model rate, two at least. amplitude: (m, K).
     """
@@ -55,19 +56,22 @@ class Knots:
     amplitude: NDArray[np.floating[Any]]
 
     def find_rows(self, first: Samples, last: Samples) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return first row and end of the rows that determine samples first … last of n ranges (n,); at least two."""
+        """Return the knot rows (begin, end) that determine samples first … last of each of n ranges; at least two rows.
+
+        first, last: (n,) [samples].
+        """
         low = np.maximum(np.searchsorted(self.at, first, side="right") - 1, 0)
         high = np.minimum(np.searchsorted(self.at, last, side="left") + 1, len(self.at))
         return np.minimum(low, len(self.at) - 2), np.maximum(high, 2)
 
     def select_range(self, first: int, last: int) -> Knots:
-        """Return the knots that determine samples first … last, in float32."""
+        """Return only the knots that determine samples first … last, in float32."""
         low, high = self.find_rows(np.array([first]), np.array([last]))
         rows = slice(int(low[0]), int(high[0]))
         return Knots(self.at[rows], np.ascontiguousarray(self.amplitude[rows], dtype=np.float32))
 
     def select_carriers(self, carriers: slice) -> Knots:
-        """Return the knots with some of the carriers."""
+        """Return all knots, with the amplitudes of some carriers only."""
         return Knots(self.at, self.amplitude[:, carriers])
 
     def locate(self, sample: Samples) -> tuple[NDArray[np.intp], Float32]:
@@ -77,11 +81,17 @@ class Knots:
         return row, np.clip((sample - self.at[row]) / span, 0.0, 1.0).astype(np.float32)
 
     def nonzero_by_group(self, carriers: int) -> NDArray[np.bool_]:
-        """Return (K / carriers, m) whether any amplitude of a group of adjacent carriers is not zero."""
+        """Return (K / carriers, m): per group of adjacent carriers, whether any amplitude at a knot is not zero.
+
+        carriers: number of carriers in a group.
+        """
         return np.asarray(self.amplitude.reshape(len(self.at), -1, carriers).any(axis=2).T)
 
     def find_active_ranges(self, loud: NDArray[np.bool_], first: int, last: int) -> list[tuple[int, int]]:
-        """Return the sample ranges within first … last − 1 next to a knot that is loud (m,)."""
+        """Return the sample ranges within first … last − 1 in which an amplitude may be nonzero.
+
+        loud: (m,) True at knots with a nonzero amplitude; a range extends to the knots beside them.
+        """
         if loud.all():
             return [(first, last)]
         active = np.concatenate([[False], loud[:-1] | loud[1:], [False]])
@@ -102,7 +112,7 @@ _LAGRANGE_TAPS = 4
 
 
 def interpolate_amplitudes(amplitude: Float, start: int, count: int) -> Float:
-    """Interpolate state amplitudes (n, K) linearly at samples start … of the model rate, (count, K).
+    """Interpolate amplitudes (n, K) at 200 Hz states linearly at 10 kHz samples start, start + 1, …; (count, K).
 
     Amplitudes are constant beyond the ends.
     """
@@ -116,7 +126,7 @@ def interpolate_amplitudes(amplitude: Float, start: int, count: int) -> Float:
 
 
 def sum_arc_carriers(amplitude: Float, carriers: Carriers, source: ArcSource, position: Float, start: int) -> Float:
-    """Compute Σ_k A_k(t) c_k(s(t)) over the arc carriers, (count,).
+    """Compute Σ_k A_k(t) c_k(s(t)), (count,), over the arc carriers (noise bands along the path).
 
     Per state the bands of an octave are first summed on the few spatial samples that the state's 5 ms cover, then read
     at s(t) once by cubic Lagrange interpolation: K bands cost as much as one.
@@ -124,15 +134,15 @@ def sum_arc_carriers(amplitude: Float, carriers: Carriers, source: ArcSource, po
     Parameters
     ----------
     amplitude
-        (n, Ka) at the states.
+        (n, Ka) of each arc carrier at the 200 Hz states.
     carriers
         Carriers of the field.
     source
-        Band signals on the spatial grid.
+        Function that returns an octave's 24 band signals on its spatial grid.
     position
         (count,) s [m] at samples start … of the model rate.
     start
-        First sample.
+        First sample, at 10 kHz.
     """
     count = len(position)
     total = np.zeros(count)
@@ -157,7 +167,11 @@ def _sum_octave(
     state: NDArray[np.intp],
     share: Float,
 ) -> Float:
-    """Sum one octave at positions (count,)."""
+    """Sum one octave's bands at positions (count,) [m], weighted by their amplitudes (n, 24) at the states.
+
+    step: spacing of the octave's spatial grid [m]. state, share: (count,) state before each position and way to the
+    next.
+    """
     cell = np.floor(position / step).astype(np.int64)
     t = position / step - cell
     # Each state covers a span of cells, extended by the interpolation's taps.
@@ -191,20 +205,26 @@ def lagrange_weights(t: Float) -> tuple[Float, Float, Float, Float]:
 
 
 def find_states_read(states: int, start: int, count: int) -> slice:
-    """Return the states between which samples start … start + count − 1 of the model rate lie; at least two."""
+    """Return the 200 Hz states around 10 kHz samples start … start + count − 1, as a slice; at least two."""
     state, _ = locate_between_states(states, start, count)
     return slice(int(state[0]), int(state[-1]) + 2) if count > 0 else slice(0, 0)
 
 
 def locate_between_states(states: int, start: int, count: int) -> tuple[NDArray[np.intp], Float]:
-    """Return the state before each of samples start … start + count − 1, and the fraction of the way to the next."""
+    """Return for each 10 kHz sample the 200 Hz state before it, and the fraction of the way to the next, (count,) each.
+
+    start, count: the samples are start … start + count − 1. states: number of states.
+    """
     sample = start + np.arange(count)
     state = np.clip(sample // SAMPLES_PER_STATE, 0, states - 2)
     return state, np.clip(sample / SAMPLES_PER_STATE - state, 0.0, 1.0)
 
 
 def find_nonzero_ranges(amplitude: Float, state: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """Return the sample ranges in which an amplitude is not zero; nothing is computed out of contact."""
+    """Return the sample ranges in which an amplitude is not zero; nothing is computed out of contact.
+
+    amplitude: (n, K) at the states. state: (count,) state before each sample.
+    """
     if len(state) == 0:
         return []
     first = int(state[0])
@@ -223,20 +243,21 @@ _KNOTS_PER_PRODUCT = 48
 
 
 def render_carrier_hops(knots: Knots, carriers: Carriers, seed: int, position: Float, hops: range) -> Float:
-    """Compute Σ_k A_k(t) c_k over time and arc carriers in adjacent hops, (n · HOP_SIZE,).
+    """Compute Σ_k A_k(t) c_k over time and arc carriers in n adjacent hops of HOP_SIZE samples, (n · HOP_SIZE,).
 
     Hop h has samples h · HOP_SIZE … + HOP_SIZE − 1, and does not depend on which other hops are rendered.
 
     Parameters
     ----------
     knots
-        Amplitudes.
+        Amplitudes of all carriers.
     carriers, seed
         Carriers and their seed.
     position
-        (REACH_SAMPLES + n · HOP_SIZE + REACH_SAMPLES,) s [m], from REACH_SAMPLES before the first hop on.
+        (REACH_SAMPLES + n · HOP_SIZE + REACH_SAMPLES,) position s along the path [m] at each sample, from REACH_SAMPLES
+        before the first hop on.
     hops
-        The n hops.
+        Numbers of the n hops.
 
     Notes
     -----
@@ -261,12 +282,12 @@ def render_carrier_hops(knots: Knots, carriers: Carriers, seed: int, position: F
 
 
 def _select_hop_positions(position: Float, hop: int) -> Float:
-    """Return the positions that one of the hops needs."""
+    """Return the positions [m] that a hop needs; `hop` counts from the first that `position` was given for."""
     return position[hop * HOP_SIZE : (hop + 1) * HOP_SIZE + 2 * REACH_SAMPLES]
 
 
 def _find_active_hops(knots: Knots, loud: NDArray[np.bool_], hops: range) -> list[bool]:
-    """Return for each hop whether a knot that determines it is loud (m,)."""
+    """Return for each hop whether any knot that determines it has a nonzero amplitude, as `loud` (m,) says per knot."""
     begin = HOP_SIZE * np.arange(hops.start, hops.stop) - REACH_SAMPLES
     first, last = knots.find_rows(begin, begin + HOP_SIZE + 2 * REACH_SAMPLES)
     loud_before = np.concatenate([[0], np.cumsum(loud)])
@@ -274,7 +295,7 @@ def _find_active_hops(knots: Knots, loud: NDArray[np.bool_], hops: range) -> lis
 
 
 def _render_hop(knots: Knots, carriers: Carriers, seed: int, position: Float, hop: int) -> Float:
-    """Render one hop in numpy; the reference of the kernel."""
+    """Render one hop (HOP_SIZE,) in numpy, as the compiled kernel does."""
     first = hop * HOP_SIZE
     begin = first - REACH_SAMPLES
     near = knots.select_range(begin, begin + len(position))
@@ -301,7 +322,10 @@ def _render_hop(knots: Knots, carriers: Carriers, seed: int, position: Float, ho
 def _plan_readings(
     near: Knots, carriers: Carriers, position: Float, rates: _MultirateSum
 ) -> dict[tuple[int, int, int], list[int]]:
-    """Group the octaves that are read at the same samples: (level, first sample, count) → octaves."""
+    """Group the octaves of arc carriers that are evaluated at the same samples: (level, first sample, count) → octaves.
+
+    level: how often the sample rate is halved, 0 to 2, by the highest frequency that the hand's speed gives the octave.
+    """
     begin, readings = rates.first - REACH_SAMPLES, defaultdict[tuple[int, int, int], list[int]](list)
     speed = np.abs(np.diff(position)) * MODEL_RATE_HZ
     for octave, loud in enumerate(near.select_carriers(carriers.arc_slice).nonzero_by_group(ARC_PER_OCTAVE)):
@@ -317,14 +341,14 @@ def _plan_readings(
 
 
 def _octave_bands(carriers: Carriers, octave: int) -> slice:
-    """Return the columns of one octave's carriers."""
+    """Return the columns of one octave's 24 arc carriers among all carriers."""
     first = carriers.arc_slice.start + octave * ARC_PER_OCTAVE
     return slice(first, first + ARC_PER_OCTAVE)
 
 
 @dataclass(frozen=True)
 class _Interpolation:
-    """Positions of samples between knots.
+    """Where n samples lie between the knots, for linear interpolation of amplitudes.
 
     begin: first sample. row: (n,) knot before each sample. share: (n,) fraction of the way to the next.
     """
@@ -334,7 +358,7 @@ class _Interpolation:
     share: Float32
 
     def decimate(self, start: int, step: int, count: int) -> _Interpolation:
-        """Return every step-th sample from `start` on."""
+        """Return the same for every step-th sample from `start` on."""
         samples = slice(start - self.begin, start - self.begin + step * count, step)
         return _Interpolation(start, self.row[samples], self.share[samples])
 
@@ -347,13 +371,16 @@ class _MultirateSum:
         self._sums: list[Float32 | None] = [None] * LEVEL_COUNT
 
     def stored_range(self, level: int, low: int, high: int) -> tuple[int, int]:
-        """Return the first of samples low … high − 1 that this level stores, and the number of stored samples."""
+        """Return where samples low … high − 1 are stored at a level: the first stored one, and their number.
+
+        level: how often the model rate is halved, so that every 2^level-th sample is stored.
+        """
         margin, step = LEVEL_MARGINS[level] << level, 1 << level
         start = -(-max(low, self.first - margin) // step) * step
         return start, max(-(-(min(high, self.first + HOP_SIZE + margin) - start) // step), 0)
 
     def add(self, level: int, start: int, values: Float32) -> None:
-        """Add values at every 2^level-th sample from `start` on."""
+        """Add values to the partial sum at every 2^level-th sample from `start` on."""
         sums, margin = self._sums[level], LEVEL_MARGINS[level]
         if sums is None:
             sums = self._sums[level] = np.zeros((HOP_SIZE >> level) + 2 * margin, dtype=np.float32)
@@ -373,7 +400,7 @@ class _MultirateSum:
 
 
 def _upsample_by_two(values: Float32, level: int) -> Float32:
-    """Return the samples at the next higher rate, with that rate's margin."""
+    """Return the samples at the next higher rate (level − 1), with the margin that is kept around a hop there."""
     margin, next_margin = LEVEL_MARGINS[level], LEVEL_MARGINS[level - 1]
     out = np.empty((HOP_SIZE >> (level - 1)) + 2 * next_margin, dtype=np.float32)
     begin, count = margin - next_margin // 2, len(out) // 2
@@ -385,7 +412,7 @@ def _upsample_by_two(values: Float32, level: int) -> Float32:
 
 
 def _sum_time_bands(amplitude: Float32, waves: Float32, when: _Interpolation) -> Float32:
-    """Compute Σ_k A_k c_k of waves (K, n); (n,)."""
+    """Compute Σ_k A_k c_k (n,) of bands with waves c (K, n) and amplitudes A (m, K) at the knots."""
     out = np.empty(waves.shape[1], dtype=np.float32)
     for rows, samples in _split_by_knots(when.row):
         sums = amplitude[rows] @ waves[:, samples]
@@ -398,7 +425,7 @@ def _sum_time_bands(amplitude: Float32, waves: Float32, when: _Interpolation) ->
 def _sum_arc_bands(
     near: Knots, carriers: Carriers, seed: int, octaves: list[int], position: Float, when: _Interpolation
 ) -> Float32:
-    """Compute Σ_k A_k c_k of some octaves at position (n,) [m]; (n,)."""
+    """Compute Σ_k A_k c_k(s), (n,), of the arc carriers in some octaves at position s (n,) [m]."""
     cell_position = position / (CELL_SAMPLES * np.array([[carriers.arc_step_m(octave)] for octave in octaves]))
     cell = np.floor(cell_position).astype(np.int64)
     weights = [
@@ -429,7 +456,7 @@ def _sum_arc_bands(
 
 @lru_cache(maxsize=8)
 def build_hop_tables(carriers: Carriers) -> CarrierTables:
-    """Build the kernel's tables of these carriers."""
+    """Build the constants that the compiled kernel needs to render hops of these carriers."""
     levels = group_time_levels(carriers)
     return CarrierTables(
         margin=np.array(LEVEL_MARGINS), time_band=np.array([bands.start for bands in levels]),
@@ -443,7 +470,10 @@ def build_hop_tables(carriers: Carriers) -> CarrierTables:
 
 
 def _gather_cells(carriers: Carriers, seed: int, octave: int, first: int, last: int) -> NDArray[np.complex64]:
-    """Return the waves (24, last − first) of cells first … last − 1, contiguous."""
+    """Return an octave's noise waves (24, last − first) in cells first … last − 1, joined over hops.
+
+    A cell is one complex sample of a wave along the path, demodulated to save samples (see noise_cache).
+    """
     hops = range(first // ARC_HOP_CELLS, (last - 1) // ARC_HOP_CELLS + 1)
     waves = np.empty((ARC_PER_OCTAVE, last - first), dtype=np.complex64)
     for hop in hops:
@@ -454,7 +484,10 @@ def _gather_cells(carriers: Carriers, seed: int, octave: int, first: int, last: 
 
 
 def _split_by_knots(row: NDArray[np.intp]) -> Iterator[tuple[slice, slice]]:
-    """Yield groups of _KNOTS_PER_PRODUCT knots or a few more, with the samples of ascending rows (n,) between them."""
+    """Yield groups of about _KNOTS_PER_PRODUCT knots, with the samples between them, for one matrix product each.
+
+    row: (n,) ascending knot before each sample.
+    """
     low = 0
     while low < len(row):
         high = int(np.searchsorted(row, row[low] + _KNOTS_PER_PRODUCT, side="left"))
@@ -463,10 +496,10 @@ def _split_by_knots(row: NDArray[np.intp]) -> Iterator[tuple[slice, slice]]:
 
 
 def _find_unaliased_ranges(speed: Float, begin: int, segment: tuple[int, int], lowest: float) -> list[tuple[int, int]]:
-    """Return the parts of a sample range in which the hand is slow enough for an octave from wavenumber `lowest` on.
+    """Return the parts of a sample range in which the hand is slow enough that an octave does not alias.
 
-    During a jump of the hand the amplitudes are zero, but reading would need metres of cells. speed: [m/s] from each
-    sample after `begin` to the next.
+    lowest: lowest wavenumber of the octave [cycles/m]. Amplitudes are zero during a jump of the hand, but rendering it
+    would draw metres of noise. speed: [m/s] from each sample after `begin` to the next.
     """
     low, high = segment
     too_fast = speed[low - begin : high - begin - 1] * lowest >= BAND_END_HZ
@@ -479,9 +512,9 @@ def _find_unaliased_ranges(speed: Float, begin: int, segment: tuple[int, int], l
 
 @lru_cache(maxsize=1)
 def _half_band_filter() -> Float32:
-    """Return the filter (2 · _HALF_BAND_TAPS,) that reads halfway between samples.
+    """Return the FIR filter (2 · _HALF_BAND_TAPS,) that interpolates halfway between samples, to double the rate.
 
-    Least squares up to MAX_RELATIVE_FREQUENCY.
+    Least-squares design over frequencies up to MAX_RELATIVE_FREQUENCY of the sample rate.
     """
     frequency = np.linspace(0.0, MAX_RELATIVE_FREQUENCY, 200)
     waves = 2.0 * np.cos(2.0 * np.pi * frequency[:, None] * (np.arange(_HALF_BAND_TAPS) + 0.5))
@@ -490,15 +523,16 @@ def _half_band_filter() -> Float32:
 
 
 def compute_cell_weights(t: Float32) -> list[Float32]:
-    """Compute the interpolation weights of cells −1, 0, 1, 2 at t in 0 … 1."""
+    """Compute the interpolation weights of the spatial samples −1, 0, 1, 2 at t, 0 … 1, between 0 and 1."""
     return [((d * t + c) * t + b) * t + a for a, b, c, d in _cubic_coefficients()]
 
 
 @lru_cache(maxsize=1)
 def _cubic_coefficients() -> tuple[tuple[np.float32, ...], ...]:
-    """Return the coefficients of powers of t per cell, by least squares over the spectrum that half an octave spans.
+    """Return the cubic polynomials in t, (4, 4), that give the weights of spatial samples −1, 0, 1, 2 at t in 0 … 1.
 
-    Demodulated, an octave spans an eighth of a turn per cell on either side.
+    Fitted by least squares over the spectrum of a demodulated octave, an eighth of a turn per sample on either side of
+    0.
     """
     t, frequency = np.linspace(0.0, 1.0, 41), np.linspace(-0.125, 0.125, 81)
     waves = np.exp(2j * np.pi * frequency[:, None] * (np.arange(_READ_CELLS) - 1))
@@ -512,12 +546,12 @@ def _cubic_coefficients() -> tuple[tuple[np.float32, ...], ...]:
 def render_carriers_full_rate(
     amplitude: Float, carriers: Carriers, seed: int, action: Action, start: int, count: int, origin: int = 0
 ) -> Float:
-    """Compute Σ_h Σ_k A_hk(t) c_k(t + origin − h) at the full rate, (count,).
+    """Compute Σ_h Σ_k A_hk(t) c_k(t + origin − h) at the full rate, (count,), over heads h and carriers k.
 
     Parameters
     ----------
     amplitude
-        (n, heads, K) at the states.
+        (n, heads, K) at the 200 Hz states.
     carriers, seed
         Carriers and their seed.
     action
@@ -525,7 +559,7 @@ def render_carriers_full_rate(
     start, count
         Range of samples.
     origin
-        First sample on the carriers' clock.
+        Sample number on the carriers' clock at which the stroke begins, if it is part of a longer one.
     """
     out = np.zeros(count)
     for delay, head in enumerate(np.moveaxis(amplitude, 1, 0)):
@@ -545,7 +579,10 @@ def render_carriers_full_rate(
 def sum_time_carriers(
     amplitude: Float, carriers: Carriers, seed: int, start: int, count: int, delay: int = 0, origin: int = 0
 ) -> Float:
-    """Compute Σ_k A_k(t) c_k(t + origin − delay) over the time carriers, (count,); amplitude (n, Kt)."""
+    """Compute Σ_k A_k(t) c_k(t + origin − delay) over the time carriers, (count,), from sample `start` on.
+
+    amplitude: (n, Kt) at the 200 Hz states. delay, origin: [samples].
+    """
     out = np.zeros(count)
     state, fraction = locate_between_states(len(amplitude), start, count)
     for first, last in find_nonzero_ranges(amplitude, state):

@@ -1,8 +1,8 @@
-"""Carriers: unit-power noise bands in time and in arc length, which F_Θ modulates.
+"""Carriers: unit-power noise bands in time and in arc length, which the field F_Θ modulates.
 
 An artist's action has nothing above 20 Hz, so the published emission, a pointwise function of u(t), cannot vibrate; the
 field therefore modulates a fixed basis. Carriers in time do not follow the hand (contact noise); carriers in arc length
-c(s(t)) shift with its speed, as the tone of a weave or a grating does: f = κ v. Every carrier is a chain of
+c(s(t)) shift with the hand's speed v, as the tone of a weave or a grating does: f = κ v. Every carrier is a chain of
 half-overlapping noise blocks with power-complementary fades. Block j is a pure function of (seed, family, j) by
 counter-based random numbers (Philox), so any range of samples is computable alone and nothing repeats. A band occupies
 few bins of a long period, so its wave is computed as a matrix product instead of an FFT that is mostly zeros: an
@@ -33,8 +33,8 @@ def _draw_words(seed: int, stream: int, block: int, first: int, last: int) -> ND
     """Draw the random words first … last − 1 of block `block` (any integer, also negative) of a stream.
 
     Philox4x64-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3"), keyed by (seed, stream) with a
-    counter set by the block. Raw words, because numpy promises those across versions but not its normal sampler, and
-    the same seed must give the same bytes.
+    counter set by the block. Raw 64-bit words, because numpy promises those across versions but not its normal sampler,
+    and the same seed must give the same bytes.
     """
     skipped = first // _WORDS_PER_COUNT
     bits = np.random.Philox(
@@ -51,7 +51,10 @@ def _to_uniform(words: NDArray[np.uint64]) -> NDArray[np.float64]:
 def _draw_polar(
     seed: int, stream: int, block: int, pairs: int, rows: slice
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Draw radius and angle of some of a block's pairs; their cosine and sine parts are normal (Box & Muller 1958)."""
+    """Draw the radius and angle of complex normal numbers (Box & Muller 1958).
+
+    rows: which of the `pairs` (radius, angle) of noise block `block` are returned.
+    """
     radius = _to_uniform(_draw_words(seed, stream, block, rows.start, rows.stop))
     angle = _to_uniform(_draw_words(seed, stream, block, pairs + rows.start, pairs + rows.stop))
     return np.sqrt(-2.0 * np.log(radius)), 2.0 * np.pi * angle
@@ -59,10 +62,10 @@ def _draw_polar(
 
 @dataclass(frozen=True, eq=False)
 class Bins:
-    """FFT bins of B adjacent bands in a period of `size` samples.
+    """FFT bins of B adjacent noise bands of W bins each, in a period of `size` samples.
 
-    starts: (B + 1,) first bin of each band, and the end of the last. level: (Σ W,) level of each bin, which gives every
-    band unit expected power.
+    starts: (B + 1,) first bin of each band, and the end of the last. level: (Σ W,) scale of each bin's random number,
+    which gives every band unit expected power.
     """
 
     starts: NDArray[np.intp]
@@ -70,7 +73,7 @@ class Bins:
     size: int
 
     def select_bands(self, low: int, high: int) -> Bins:
-        """Return the bins of bands low … high − 1; drawn separately, their numbers are the same."""
+        """Return the bins of bands low … high − 1; noise drawn for them alone is the same as when drawn with all."""
         first, last = self.starts[[low, high]] - self.starts[0]
         return Bins(self.starts[low : high + 1], self.level[first:last], self.size)
 
@@ -78,7 +81,7 @@ class Bins:
 def make_bins(edges: NDArray[np.float64], size: int) -> Bins:
     """Assign bins to bands with edges (B + 1,) [cycles per period], ascending.
 
-    A bin belongs to the band that contains it. Raises ValueError if a band is narrower than the period resolves.
+    size: samples of the period. Raises ValueError if a band is so narrow that it contains no bin.
     """
     starts = find_first_bins(edges, size)
     widths = np.diff(starts)
@@ -91,7 +94,8 @@ def draw_band_spectra(
 ) -> NDArray[np.complex128]:
     """Draw rfft spectra (B, size // 2 + 1) of B noise bands, each of unit expected power over a period.
 
-    Disjoint bands take their numbers from one white spectrum, so they are independent. edges, errors: as of make_bins.
+    Disjoint bands take their numbers from one white spectrum, so they are independent. edges: (B + 1,) ascending
+    [cycles per period]. size: samples of the period. Raises ValueError if a band contains no bin.
     """
     bins = make_bins(edges, size)
     drawn, starts = draw_band_bins(seed, stream, block, bins), bins.starts
@@ -102,7 +106,7 @@ def draw_band_spectra(
 
 
 def draw_band_bins(seed: int, stream: int, block: int, bins: Bins) -> NDArray[np.complex128]:
-    """Draw the bins (Σ W,) of draw_band_spectra that are not zero, band after band."""
+    """Draw the complex FFT bins (Σ W,) of noise bands, band after band, without the zeros between them."""
     first, last, pairs = int(bins.starts[0]), int(bins.starts[-1]), bins.size // 2 + 1
     kernel = load_kernel()
     if kernel is not None:
@@ -116,7 +120,10 @@ def draw_band_bins(seed: int, stream: int, block: int, bins: Bins) -> NDArray[np
 
 
 def find_first_bins(edges: NDArray[np.float64], size: int) -> NDArray[np.intp]:
-    """Return the first bin of each band, and the end of the last, (B + 1,). Raises ValueError as make_bins."""
+    """Return the first FFT bin of each band, and the end of the last, (B + 1,).
+
+    edges: (B + 1,) [cycles per period of `size` samples]. Raises ValueError if a band contains no bin.
+    """
     starts = np.clip(np.ceil(edges).astype(np.intp), 1, size // 2)
     empty = np.diff(starts) <= 0
     if empty.any():
@@ -125,7 +132,7 @@ def find_first_bins(edges: NDArray[np.float64], size: int) -> NDArray[np.intp]:
 
 
 def crossfade_window(size: int) -> NDArray[np.float64]:
-    """Return the Vorbis I window (size,), power-complementary: w²(t) + w²(t + size/2) = 1."""
+    """Return the Vorbis window (size,): overlapping by half, its squares sum to 1: w²(t) + w²(t + size/2) = 1."""
     t = (np.arange(size) + 0.5) / size
     return np.asarray(np.sin(0.5 * np.pi * np.square(np.sin(np.pi * t))))
 
@@ -150,7 +157,10 @@ ARC_STREAM = 1_000
 
 
 def default_time_edges() -> Float:
-    """Return 58 edges [Hz]: 20 Hz bands to 1 kHz (the first starts at 2 Hz), then 7 widening bands to 5 kHz."""
+    """Return the 58 band edges of the default time carriers [Hz].
+
+    20 Hz bands to 1 kHz (the first starts at 2 Hz), then 7 widening bands to 5 kHz.
+    """
     low = np.arange(51) * 20.0
     low[0] = 2.0
     return np.concatenate([low, 1000.0 * 5.0 ** (np.arange(1, 8) / 7.0)])
@@ -158,7 +168,7 @@ def default_time_edges() -> Float:
 
 @dataclass(frozen=True)
 class Carriers:
-    """Carriers that a field modulates, in the order constant, time, arc.
+    """Noise bands that a field modulates: a constant, bands in time, then bands in arc length along the path.
 
     Attributes
     ----------
@@ -169,7 +179,7 @@ class Carriers:
     arc_octaves
         Octaves of spatial frequency, each of 24 bands.
     constant
-        Include c ≡ 1, the published form.
+        Include the carrier c ≡ 1, which alone is the published form.
     """
 
     time_edges_hz: tuple[float, ...] = tuple(float(edge) for edge in default_time_edges())
@@ -202,12 +212,12 @@ class Carriers:
 
     @property
     def time_slice(self) -> slice:
-        """Columns of the time carriers."""
+        """Columns of the time carriers in an amplitude array (…, K)."""
         return slice(int(self.constant), int(self.constant) + self.time_count)
 
     @property
     def arc_slice(self) -> slice:
-        """Columns of the arc carriers."""
+        """Columns of the arc carriers in an amplitude array (…, K)."""
         return slice(int(self.constant) + self.time_count, self.count)
 
     def time_edges(self) -> Float:
@@ -224,17 +234,17 @@ class Carriers:
         return np.asarray(np.sqrt(edges[1:] * edges[:-1]))
 
     def arc_step_m(self, octave: int) -> float:
-        """Return the sample spacing of an octave's blocks [m]."""
+        """Return the spacing along the path of an octave's noise samples [m]."""
         return float(1.0 / (ARC_SAMPLES_PER_WAVE * self.arc_start_per_m * 2.0 ** (octave + 1)))
 
     def arc_block_spectra(self, seed: int, octave: int, block: int) -> NDArray[np.complex128]:
-        """Draw the rfft spectra (24, ARC_BLOCK // 2 + 1) of one block of one octave, before its fade."""
+        """Draw the rfft spectra (24, ARC_BLOCK // 2 + 1) of one noise block of one octave, before it is windowed."""
         first = octave * ARC_PER_OCTAVE
         edges = self.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (self.arc_step_m(octave) * ARC_BLOCK)
         return draw_band_spectra(seed, ARC_STREAM + octave, block, edges, ARC_BLOCK)
 
     def time_block_spectra(self, seed: int, block: int) -> NDArray[np.complex128]:
-        """Draw the rfft spectra (Kt, TIME_BLOCK // 2 + 1) of one block, before its fade."""
+        """Draw the rfft spectra (Kt, TIME_BLOCK // 2 + 1) of one noise block in time, before it is windowed."""
         return draw_band_spectra(seed, 0, block, self.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
 
     def time_samples(self, seed: int, start: int, count: int) -> Float:
@@ -242,31 +252,34 @@ class Carriers:
         return _overlap_add(lambda block: _time_wave(self, seed, block), TIME_BLOCK, self.time_count, start, count)
 
     def arc_samples(self, seed: int, octave: int, start: int, count: int) -> Float:
-        """Compute one octave's carriers (24, count) at spatial samples start …, in multiples of arc_step_m."""
+        """Compute one octave's carriers (24, count) at spatial samples start, start + 1, … of spacing arc_step_m."""
         return _overlap_add(lambda block: _arc_wave(self, seed, octave, block), ARC_BLOCK, ARC_PER_OCTAVE, start, count)
 
 
 @lru_cache(maxsize=CACHED_TIME_BLOCKS)
 def _time_wave(carriers: Carriers, seed: int, block: int) -> Float:
-    """Return the windowed waves (Kt, TIME_BLOCK) of one block."""
+    """Return the windowed waves (Kt, TIME_BLOCK) of one noise block of the time carriers."""
     return _apply_window(carriers.time_block_spectra(seed, block), TIME_BLOCK)
 
 
 @lru_cache(maxsize=CACHED_ARC_BLOCKS)
 def _arc_wave(carriers: Carriers, seed: int, octave: int, block: int) -> Float:
-    """Return the windowed waves (24, ARC_BLOCK) of one block of one octave."""
+    """Return the windowed waves (24, ARC_BLOCK) of one noise block of one octave of arc carriers."""
     return _apply_window(carriers.arc_block_spectra(seed, octave, block), ARC_BLOCK)
 
 
 def _apply_window(spectra: NDArray[np.complex128], size: int) -> Float:
-    """Return a block's waves (bands, size) under its window."""
+    """Return the waves (bands, size) of rfft spectra, times the cross-fade window."""
     waves = np.fft.irfft(spectra, size, axis=-1) * crossfade_window(size)
     waves.setflags(write=False)
     return np.asarray(waves)
 
 
 def _overlap_add(waves: Callable[[int], Float], size: int, bands: int, start: int, count: int) -> Float:
-    """Sum the faded blocks that overlap [start, start + count)."""
+    """Sum the half-overlapping windowed blocks in samples start … start + count − 1; (bands, count).
+
+    waves: function (block number) → its windowed waves (bands, size).
+    """
     out = np.zeros((bands, count))
     if count <= 0 or bands == 0:
         return out
@@ -288,20 +301,21 @@ MAX_PRODUCT_BINS = 32
 
 @dataclass(frozen=True, eq=False)
 class WavePlan:
-    """Tables for converting bins to waves, the same for every block.
+    """Precomputed tables that turn FFT bins of B noise bands into waves of `size` samples, the same for every block.
 
     Attributes
     ----------
     starts
         (B + 1,) first bin of each band, and the end of the last.
     window
-        (size,).
+        (size,) cross-fade window.
     narrow, broad
-        Bands computed by a product, and by an FFT.
+        Indices of the bands computed by a matrix product, and of those computed by an FFT.
     slow
-        (2W, size / 2 + 1) cosines of 0 … W − 1 turns, then their sines.
+        (2W, size / 2 + 1) cosines of 0 … W − 1 turns per period, then their sines; W is the width of the widest narrow
+        band.
     turns
-        Cosine and sine (narrow, size / 2 + 1) of the first bins.
+        Cosine and sine (narrow, size / 2 + 1) at the first bin of each narrow band.
     """
 
     starts: Starts
@@ -317,7 +331,7 @@ class WavePlan:
         return len(self.window)
 
     def select_bands(self, low: int, high: int) -> WavePlan:
-        """Return the plan of bands low … high − 1."""
+        """Return the tables of bands low … high − 1."""
         narrow = slice(*np.searchsorted(self.narrow, (low, high)))
         broad = self.broad[slice(*np.searchsorted(self.broad, (low, high)))] - low
         cosine, sine = self.turns
@@ -328,7 +342,10 @@ class WavePlan:
 
 
 def make_wave_plan(starts: Starts, window: Float, middle: int = 0) -> WavePlan:
-    """Build the plan of bands that are demodulated by `middle` turns per period. window: (size,)."""
+    """Build the tables that turn FFT bins into waves, of bands shifted down in frequency by `middle` turns per period.
+
+    starts: (B + 1,) first bin of each band, and the end of the last. window: (size,).
+    """
     width, size = np.diff(starts), len(window)
     narrow, broad = np.flatnonzero(width <= MAX_PRODUCT_BINS), np.flatnonzero(width > MAX_PRODUCT_BINS)
     slow = _sinusoids(np.arange(int(width[narrow].max(initial=0))), size)
@@ -339,12 +356,12 @@ def make_wave_plan(starts: Starts, window: Float, middle: int = 0) -> WavePlan:
 
 
 def render_real_waves(bins: Complex, plan: WavePlan, out: Float32 | None = None) -> Float32:
-    """Compute 2 Re Σ_k X_k e^{2πikn/size} of each of B bands, times the window; (B, size).
+    """Compute the waves (B, size) of B noise bands, 2 Re Σ_k X_k e^{2πikn/size} times the window.
 
     Parameters
     ----------
     bins
-        (Σ W,) X of the bands, one after another; every bin lies between 0 and size / 2.
+        (Σ W,) FFT bins X of the bands, one after another; every bin lies between 0 and size / 2.
     plan
         Tables of the bands.
     out
@@ -376,9 +393,10 @@ def render_real_waves(bins: Complex, plan: WavePlan, out: Float32 | None = None)
 def render_complex_waves(
     bins: Complex, plan: WavePlan, out: NDArray[np.complex64] | None = None
 ) -> NDArray[np.complex64]:
-    """Compute Σ_k X_k e^{2πi(k − middle)n/size} of each of B narrow bands, times the window; (B, size).
+    """Compute the complex waves (B, size) of B narrow bands, Σ_k X_k e^{2πi(k − middle)n/size} times the window.
 
-    Bands may have at most MAX_PRODUCT_BINS bins. bins, out: as of render_real_waves.
+    bins: (Σ W,) FFT bins X of the bands, one after another; at most MAX_PRODUCT_BINS a band. middle: frequency shift
+    that `plan` was made for. out: array for the result, None to allocate it.
     """
     out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.complex64) if out is None else out
     kernel = load_kernel()
@@ -391,7 +409,7 @@ def render_complex_waves(
 
 
 def _padded(bins: Complex, plan: WavePlan) -> Complex:
-    """Return the bins of the narrow bands (narrow, W), padded with zeros to the widest."""
+    """Return the FFT bins of the narrow bands as rows (narrow, W), padded with zeros to the widest band."""
     width = np.diff(plan.starts)[plan.narrow, None]
     at = (plan.starts[:-1] - plan.starts[0])[plan.narrow, None] + np.arange(len(plan.slow) // 2)
     inside = np.arange(len(plan.slow) // 2) < width
@@ -408,7 +426,7 @@ def _envelopes(bins: Complex, slow: Float32) -> tuple[NDArray[np.complex64], NDA
 
 
 def _mirror(ahead: NDArray[Any], back: NDArray[Any]) -> NDArray[Any]:
-    """Join samples n and −n, n = 0 … size / 2, to (B, size)."""
+    """Join the samples n ≥ 0 (ahead) and −n (back), n = 0 … size / 2, to one period (B, size)."""
     return np.concatenate([ahead, back[:, -2:0:-1]], axis=1)
 
 

@@ -1,8 +1,8 @@
-"""Linear contact as a filter in time: profile height or pressing force in, acceleration out.
+"""Linear contact as a filter in time: height of the surface under the path, or pressing force, in; acceleration out.
 
-Stiffness follows material and load, both slow. A small bank of impulse responses, one per material and half octave of
-force, is cross-faded at the action rate. The loads of the bank are the same for every stroke, so that pressing harder
-at one point changes nothing elsewhere.
+The contact's stiffness depends on material and load, which change slowly. A small bank of impulse responses, one per
+material and half octave of force, is therefore cross-faded at the action rate (200 Hz). The loads of the bank are the
+same for every stroke, so that pressing harder at one point changes nothing elsewhere.
 """
 
 from __future__ import annotations
@@ -57,18 +57,18 @@ STATES_BEHIND = (TAIL_SAMPLES + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PE
 
 @dataclass(frozen=True)
 class FilterBank:
-    """Impulse responses of B contacts, and their weights at every state.
+    """Impulse responses of B contacts (a material under a load each), and their weights at every state.
 
-    contacts: B of them. weights: (n, B), each row sums to 1.
+    contacts: the B (mechanics, probe, force). weights: (n, B) at the n action samples (200 Hz); each row sums to 1.
     """
 
     contacts: tuple[LoadedContact, ...]
     weights: Float
 
     def render_height(self, height: Float, start: int) -> Float:
-        """Compute the acceleration (count,) [m/s²] of a profile height (TAIL_SAMPLES + count + LEAD_SAMPLES,) [m].
+        """Compute the acceleration (count,) [m/s²] that a surface height under the moving hand causes.
 
-        The height begins TAIL_SAMPLES before sample `start`.
+        height: (TAIL_SAMPLES + count + LEAD_SAMPLES,) [m] at 10 kHz, from TAIL_SAMPLES before sample `start` on.
         """
         count = len(height) - LEAD_SAMPLES - TAIL_SAMPLES
         # A period as long as the signal suffices, because only samples before `start` wrap around.
@@ -82,10 +82,10 @@ class FilterBank:
         )
 
     def render_force(self, force: Float, start: int, count: int) -> Float:
-        """Compute the acceleration (count,) [m/s²] of the force (n,) [N] at the states, along a cubic B-spline.
+        """Compute the acceleration (count,) [m/s²] that the pressing force (n,) [N] causes, from sample `start` on.
 
-        Spline and response are linear, so each state adds the same curve around itself: a small sum per state, where an
-        FFT would process all samples.
+        Between the 200 Hz states the force follows a cubic B-spline. Spline and response are linear, so each state adds
+        the same curve around itself: a small sum per state, where an FFT would process all samples.
         """
         first, last = start // SAMPLES_PER_STATE, (start + count - 1) // SAMPLES_PER_STATE
         states, kernel = last + 1 - first, load_kernel()
@@ -101,7 +101,7 @@ class FilterBank:
         return acceleration[start - first * SAMPLES_PER_STATE :][:count]
 
     def _render_force_numpy(self, force: Float, first: int, count: int) -> Float:
-        """Render the force in numpy; the reference of the kernel."""
+        """Compute the acceleration due to the force in numpy as the kernel does, for `count` states from `first` on."""
         nearby_force = force[np.clip(np.arange(first - STATES_BEHIND, first + count + STATES_AHEAD), 0, len(force) - 1)]
         out = np.zeros((count, SAMPLES_PER_STATE))
         windows = sliding_window_view(nearby_force, STATES_BEHIND + 1 + STATES_AHEAD)
@@ -117,27 +117,27 @@ class FilterBank:
 
     @cached_property
     def _responses(self) -> StateResponses:
-        """Response tables of all contacts."""
+        """Response of each contact to 1 N in one state, as tables of samples."""
         return StateResponses([_state_response_table(*contact) for contact in self.contacts], STATES_AHEAD)
 
     def _find_active(self, states: slice) -> NDArray[np.intp]:
-        """Return the contacts with a weight at any of the states."""
+        """Return the indices of the contacts whose weight is above 0 at any of the states."""
         return np.flatnonzero(np.any(self.weights[states] > 0.0, axis=0))
 
 
 def build_filter_bank(
     mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], force: Float, probe: str
 ) -> FilterBank:
-    """Build the bank of all mechanics that are touched, at the loads next to the occurring forces.
+    """Build the filter bank of a stroke: all materials touched, each at the loads next to the occurring forces.
 
     Parameters
     ----------
     mechanics
-        One per material.
+        Stiffness, damping and friction, one per material.
     material
         (n,) index into mechanics at each state.
     force
-        (n,) [N].
+        (n,) pressing force [N].
     probe
         Name of the probe.
 
@@ -169,10 +169,10 @@ def build_filter_bank(
 
 @lru_cache(maxsize=CACHED_RESPONSES)
 def _state_response_table(mechanics: Mechanics, probe: Probe, force: float) -> Float:
-    """Compute the response of a state's samples to 1 N at each neighbouring state, the earliest first.
+    """Compute the acceleration that 1 N in one 5 ms state causes, as seen from the samples of a state.
 
-    (states behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE), with as many states behind as the response lasts,
-    STATES_BEHIND at most.
+    Rows are the neighbouring states that the force acts in, the earliest first: (states behind + 1 + STATES_AHEAD,
+    SAMPLES_PER_STATE), with as many states behind as the response lasts, STATES_BEHIND at most.
     """
     response = compute_impulse_response(force_response, mechanics, probe, force)
     duration = int(np.flatnonzero(response)[-1]) + 1 - LEAD_SAMPLES
@@ -191,9 +191,10 @@ def _state_response_table(mechanics: Mechanics, probe: Probe, force: float) -> F
 
 @lru_cache(maxsize=CACHED_RESPONSES)
 def compute_impulse_response(response: Response, mechanics: Mechanics, probe: Probe, force: float) -> Float:
-    """Compute an impulse response (LEAD_SAMPLES + TAIL_SAMPLES,) at the model rate, from −LEAD_SAMPLES on.
+    """Compute an impulse response (LEAD_SAMPLES + TAIL_SAMPLES,) at 10 kHz, from −LEAD_SAMPLES on.
 
-    It has no DC, no slope and nothing above 4.8 kHz, and is 0 where less than RESIDUAL_ENERGY of its energy is left.
+    response: transfer function of height or force to acceleration, at a load `force` [N]. The result has no DC, no
+    slope and nothing above 4.8 kHz, and is 0 where less than RESIDUAL_ENERGY of its energy is left.
     """
     frequency = np.fft.rfftfreq(RESPONSE_PERIOD, 1.0 / MODEL_RATE_HZ)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.clip((frequency - 4000.0) / 800.0, 0.0, 1.0))

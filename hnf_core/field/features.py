@@ -1,7 +1,8 @@
-"""Network inputs of F_Θ: token, mechanics, probe, direction, log speed, log force, and the linear contact.
+"""Network inputs of F_Θ: material token, mechanics, probe, direction, log speed, log force, linear contact.
 
-Mechanics do not show in an image (foam and stone give the same map), so they are inputs of their own, each with a flag
-for whether it is known. `token_distances` compares tokens in the same normalisation, invariant to rotation.
+The token describes the surface's relief and is derived from an image. Mechanics (stiffness, damping, friction) do not
+show in an image (foam and stone give the same token), so they are inputs of their own, each with a flag for whether it
+is known. `token_distances` compares tokens in the same normalisation, invariant to rotation.
 """
 
 from __future__ import annotations
@@ -45,15 +46,16 @@ _PHYSICS_SCALARS = 3
 
 @dataclass(frozen=True)
 class Inputs:
-    """Network inputs at n states, with what modifies the outputs.
+    """Network inputs at n states of the hand, with the terms that modify the outputs.
 
     Attributes
     ----------
     x
         (n, D) network input.
     prior
-        (n, K) log amplitude per carrier of the linear contact. With line gains that of its noise alone, followed by the
-        columns of linear_contact.encode_line_prior.
+        (n, K) log amplitude per carrier that the linear contact predicts; the network's output is a correction to it.
+        With line gains (an output per tone of a regular surface) that of its noise alone, followed by the columns of
+        linear_contact.encode_line_prior, which hold the tones.
     gate
         (n, K) factor 0 … 1 on the emission: 0 at rest, out of contact, and where an arc carrier leaves the band.
     """
@@ -64,7 +66,7 @@ class Inputs:
 
 
 def input_size(carriers: Carriers, physics: bool, action_octaves: int = 0) -> int:
-    """Return the number of network inputs D."""
+    """Return the number of network inputs D for a field with these options, see build_inputs."""
     encoded = 6 * action_octaves
     return _ACTION_END + encoded + (carriers.time_count + _PHYSICS_SCALARS if physics else 0)
 
@@ -78,7 +80,7 @@ def build_inputs(
     line_gains: bool = False,
     stroke_frame: bool = False,
 ) -> Inputs:
-    """Compute the network inputs at every state.
+    """Compute the network inputs at n states of the hand.
 
     Parameters
     ----------
@@ -91,7 +93,7 @@ def build_inputs(
     action_octaves
         Octaves of the positional encoding, see encode_action.
     directed
-        False replaces the direction by 0, so that nothing depends on it.
+        False replaces the direction by 0, so that no output depends on it.
     line_gains
         Separate the tones from the noise (see linear_contact.compute_line_power); needs physics and arc carriers.
     stroke_frame
@@ -139,7 +141,7 @@ def build_inputs(
 
 
 def compute_gate(condition: Condition, carriers: Carriers) -> Float:
-    """Compute the gate (n, K), 0 … 1, as in Inputs."""
+    """Compute the factor (n, K), 0 … 1, on each carrier's amplitude: 0 at rest, in the air, or out of the band."""
     gate = np.repeat(motion_gate(condition)[:, None], carriers.count, axis=1)
     gate[:, carriers.arc_slice] *= arc_gain(carriers.arc_centres(), np.maximum(condition.speed, SPEED_FLOOR_M_S))
     return gate
@@ -173,10 +175,10 @@ def encode_action(direction: Float, speed: Float, force: Float, octaves: int, di
 
 
 def rotate_to_stroke_frame(tokens: Float, direction: Float) -> Float:
-    """Rotate the direction moments of tokens (n, TOKEN_DIM) into the frame of unit vectors d (n, 2).
+    """Rotate the direction moments of tokens (n, TOKEN_DIM) into the frame of stroke directions d (n, 2), unit vectors.
 
-    A function of the result alone cannot distinguish a surface and a stroke both turned from the same two unturned, nor
-    d from −d.
+    A network that sees only the result gives the same output when surface and stroke are turned together, and for d and
+    −d.
     """
     turned = np.array(tokens, dtype=np.float64)
     angle = np.arctan2(direction[:, 1], direction[:, 0])[:, None]
@@ -189,7 +191,7 @@ def rotate_to_stroke_frame(tokens: Float, direction: Float) -> Float:
 
 
 def log_amplitude(power: Float) -> Float:
-    """Return the log amplitude of a power, with AMPLITUDE_FLOOR_M_S2 added in power."""
+    """Return log √(power + AMPLITUDE_FLOOR_M_S2²) of a power [(m/s²)²]."""
     return np.asarray(0.5 * np.log(power + AMPLITUDE_FLOOR_M_S2**2))
 
 
@@ -200,7 +202,10 @@ def normalise_tokens(tokens: Float) -> Float:
 
 
 def token_normalisation() -> tuple[Float, Float]:
-    """Return shift and scale (TOKEN_DIM,): (token − shift) · scale. Direction moments stay unchanged."""
+    """Return the shift and scale (TOKEN_DIM,) of the token's normalisation, (token − shift) · scale.
+
+    Direction moments stay unchanged.
+    """
     bands, width = len(BAND_WAVELENGTHS_M), len(BAND_FEATURES)
     scale, shift = np.ones(TOKEN_DIM), np.zeros(TOKEN_DIM)
     levels = np.arange(bands) * width
@@ -227,7 +232,7 @@ ROTATION_COUNT = 36
 
 
 def token_distances(values: ArrayLike, known: NDArray[np.bool_], others: ArrayLike) -> Float:
-    """Compute the rotation-invariant RMS distance (n,) between a token and others, over its known features.
+    """Compute the RMS distance (n,) of a material's token to n others, over its known features.
 
     Parameters
     ----------

@@ -1,11 +1,12 @@
-"""F_Θ(m, u) → (α, σΔt): architecture, evaluation at many states, and accumulation over past states.
+"""The field F_Θ(material m, hand state u) → (amplitudes α, densities σΔt): architecture, evaluation, accumulation.
 
 A conditioned ReLU network of L layers of H units has linear heads for α and σ (Haptic Neural Fields, CVPR 2026, whose
-published form is `FieldConfig.published`). Here α holds an amplitude per carrier; the σ head gives σΔt, since in
-seconds Σw would start at 3.5e-4 and training stall; and the N states may be past states u(t − nΔ), which unlike N heads
-of one state carry memory. Fields of the shipped form are evaluated by the compiled kernel, others in numpy. There
-OpenBLAS adds in an order that depends on the number of threads, so states are split into batches by their number alone,
-each on one BLAS thread: results do not depend on the machine's cores.
+published form is `FieldConfig.published`). Here α holds an amplitude per carrier (noise band); the outputs are weighted
+over past states as NeRF weights samples along a ray, by densities σ. The σ head gives σΔt, since in seconds Σw would
+start at 3.5e-4 and training stall; and the N states may be past states u(t − nΔ), which unlike N heads of one state
+carry memory. Fields of the shipped form are evaluated by the compiled kernel, others in numpy. There OpenBLAS adds in
+an order that depends on the number of threads, so states are split into batches by their number alone, each on one BLAS
+thread: results do not depend on the machine's cores.
 """
 
 from __future__ import annotations
@@ -73,27 +74,27 @@ class FieldConfig:
     states
         Number of states N.
     accumulation
-        "past": N past states, spacing_s apart, share one α head. "heads": N heads of one state (published), whose
-        carriers lag by n Δt.
+        How N outputs are summed. "past": the outputs at N past states, spacing_s apart, from one α head. "heads": N
+        heads of one state (published), whose carriers lag by n Δt.
     spacing_s
         Distance of past states [s], a multiple of the action's sample period.
     carriers
-        Carriers that α modulates.
+        Noise bands whose amplitudes α holds.
     emission
         "log": α is an amplitude exp(head). "linear": α is the head (published).
     physics
         Add the linear contact to the inputs and, weighted by a learned skip per carrier, to the log-amplitude head.
     arc_knots
-        Values of the α head for the arc carriers, spread evenly over log κ with linear interpolation between; 0 for one
-        value per carrier. With one each, the few training strokes whose tone falls on a carrier alone decide its tones
-        (up to 28 dB off on an unseen weave).
+        Number of values of the α head for the arc carriers (bands of wavenumber κ along the path), spread evenly over
+        log κ with linear interpolation between; 0 for one value per carrier. With one each, the few training strokes
+        whose tone falls on a carrier alone decide its tones (up to 28 dB off on an unseen weave).
     action_octaves
         Octaves of the positional encoding of u(t), see features.encode_action.
     directed
         False for data without directions; the field then ignores the direction.
     line_gains
-        Add an output for each tone of the token's lattice, see linear_contact.compute_line_power. Needs physics, log
-        emission and arc carriers.
+        Add an output for each tone of the token's lattice, see linear_contact.compute_line_power (a lattice, such as a
+        weave, sounds at tones). Needs physics, log emission and arc carriers.
     stroke_frame
         Give the network the token in the frame of the stroke instead of token and direction, see
         features.rotate_to_stroke_frame.
@@ -136,12 +137,12 @@ class FieldConfig:
 
     @property
     def alpha_heads(self) -> int:
-        """Number of α heads."""
+        """Number of α heads: N with "heads" accumulation, else 1."""
         return self.states if self.accumulation == "heads" else 1
 
     @property
     def stride(self) -> int:
-        """Action samples between neighbouring past states."""
+        """Number of action samples (200 Hz) between neighbouring past states."""
         return round(self.spacing_s * ACTION_RATE_HZ)
 
     @property
@@ -151,7 +152,7 @@ class FieldConfig:
         return self.carriers.count - saved + (LINE_GAIN_COUNT if self.line_gains else 0)
 
     def expansion(self) -> NDArray[np.float32] | None:
-        """Return the linear interpolation (Ka, arc_knots) from knots to arc carriers; None with a value per carrier."""
+        """Return the interpolation (Ka, arc_knots) from α head to arc carriers; None with a value per carrier."""
         count = self.carriers.arc_count
         if not self.arc_knots or not count:
             return None
@@ -179,7 +180,7 @@ UNTRAINED = "untrained"
 
 @dataclass(frozen=True)
 class Field:
-    """F_Θ with its parameters.
+    """The field F_Θ: a trained or initial network with its architecture.
 
     Attributes
     ----------
@@ -188,7 +189,7 @@ class Field:
     parameters
         float32 arrays by their names in FieldConfig.shapes.
     ranges
-        What the field was trained on, None if untrained.
+        Ranges of speed, force and materials that the field was trained on, None if untrained.
     metadata
         Training data, seed, metrics and licence, as text.
     identity
@@ -203,7 +204,7 @@ class Field:
 
     @cached_property
     def layers(self) -> Layers:
-        """Layers and heads in the kernel's layout, packed once."""
+        """Weights of layers and heads in the memory layout of the compiled kernel, packed once."""
         names = [*(f"layer{index}" for index in range(self.config.layers)), "alpha", "sigma"]
         weights, biases = ([self.parameters[f"{name}.{part}"] for name in names] for part in ("weight", "bias"))
         return Layers(weights, biases)
@@ -219,22 +220,26 @@ def is_same_field(first: Field, second: Field) -> bool:
 
 @dataclass(frozen=True)
 class Emission:
-    """Output of F_Θ at n states. alpha: (n, heads, K), 0 at rest and out of contact. sigma_dt: (n, N) ≥ 0."""
+    """Output of F_Θ at n states of the hand.
+
+    alpha: (n, heads, K) amplitudes per carrier, 0 at rest and out of contact. sigma_dt: (n, N) ≥ 0, densities times Δt
+    of the N past states.
+    """
 
     alpha: Float
     sigma_dt: Float
 
     def rows(self, rows: slice) -> Emission:
-        """Return some of the states, as views."""
+        """Return the output at some of the states, as views."""
         return Emission(self.alpha[rows], self.sigma_dt[rows])
 
     def assign(self, rows: NDArray[np.bool_], values: Emission) -> None:
-        """Assign `values` to the selected rows, in place."""
+        """Assign the outputs `values` to the states selected by the mask `rows` (n,), in place."""
         self.alpha[rows], self.sigma_dt[rows] = values.alpha, values.sigma_dt
 
 
 def concatenate_emissions(emissions: Sequence[Emission]) -> Emission:
-    """Concatenate emissions along the states."""
+    """Concatenate field outputs along the axis of states."""
     return Emission(
         np.concatenate([emission.alpha for emission in emissions]),
         np.concatenate([emission.sigma_dt for emission in emissions]),
@@ -263,14 +268,14 @@ def evaluate(model: Field, condition: Condition, network: NetworkFn | NetworkOut
     model
         The field.
     condition
-        The n states.
+        The n states of the hand, with the materials touched.
     network
         Replacement of the field's network: a function, or its outputs. None for the network itself.
 
     Returns
     -------
     Emission
-        Amplitudes and densities, from float32 products as in torch.
+        Amplitudes and densities, computed in float32 as in torch.
     """
     config, parameters, kernel = model.config, model.parameters, find_kernel(model)
     if network is None:
@@ -292,7 +297,7 @@ BATCH_STATES = 512
 
 
 def evaluate_batched(model: Field, condition: Condition, evaluator: Evaluator = evaluate) -> Emission:
-    """Evaluate F_Θ at any number of states, BATCH_STATES at a time."""
+    """Evaluate F_Θ at any number of states, BATCH_STATES at a time; `evaluator` evaluates one batch."""
     if len(condition.speed) <= BATCH_STATES:
         return evaluator(model, condition)
     starts = range(0, len(condition.speed), BATCH_STATES)
@@ -302,16 +307,16 @@ def evaluate_batched(model: Field, condition: Condition, evaluator: Evaluator = 
 
 
 def accumulate(config: FieldConfig, emission: Emission, first: int = 0) -> Float:
-    """Compute the amplitudes (n − first, heads, K) at the states of an evenly sampled action, from state `first` on.
+    """Weight the outputs of past states to amplitudes (n − first, heads, K) at each state from `first` on.
 
     Parameters
     ----------
     config
         Architecture.
     emission
-        Output of F_Θ at all n states.
+        Output of F_Θ at all n states, evenly sampled at the action rate.
     first
-        First state of the result; those before it are its memory.
+        First state of the result; earlier states only contribute as past states.
 
     Returns
     -------
@@ -320,8 +325,8 @@ def accumulate(config: FieldConfig, emission: Emission, first: int = 0) -> Float
 
     Notes
     -----
-    "past": Σ_n w_n α(u_{i − n·stride}), with σ_n of the same past state. Before the first sample nothing is emitted,
-    and σ is that of the first sample. "heads": w_n α_n of each state. The weights are those of
+    "past": Σ_n w_n α(u_{i − n·stride}), with σ_n of the same past state. Before the first state nothing is emitted,
+    and σ is that of the first state. "heads": w_n α_n of each state. The weights are those of
     render_weights.render_weights.
     """
     if config.accumulation == "heads":
@@ -340,7 +345,7 @@ def accumulate(config: FieldConfig, emission: Emission, first: int = 0) -> Float
 
 
 def steady_amplitude(config: FieldConfig, emission: Emission) -> Float:
-    """Compute the amplitudes (n, heads, K) of states that last for longer than the memory."""
+    """Compute the amplitudes (n, heads, K) of states that last longer than N past states reach back."""
     weights = render_weights(emission.sigma_dt)
     if config.accumulation == "heads":
         return np.asarray(weights[:, :, None] * emission.alpha)
@@ -350,8 +355,8 @@ def steady_amplitude(config: FieldConfig, emission: Emission) -> Float:
 def initial_parameters(config: FieldConfig, seed: int) -> dict[str, NDArray[np.float32]]:
     """Draw initial parameters: He initialisation of the layers (He et al. 2015, eq. 10).
 
-    With physics the heads start at 0, so that an untrained field is the linear contact. σΔt of past states starts at
-    PAST_DENSITY, of heads at softplus(0) = 0.69.
+    With physics the heads start at 0, so that an untrained field gives the amplitudes of the linear contact. σΔt starts
+    at PAST_DENSITY with "past" accumulation, at softplus(0) = 0.69 with "heads".
     """
     generator = np.random.Generator(np.random.Philox(key=seed))
     parameters: dict[str, NDArray[np.float32]] = {}
@@ -372,7 +377,7 @@ def initial_parameters(config: FieldConfig, seed: int) -> dict[str, NDArray[np.f
 
 
 def get_network(model: Field) -> NetworkFn:
-    """Return the function that evaluates F_Θ's layers and heads."""
+    """Return the function inputs (n, D) → outputs of both heads, which runs F_Θ's layers in the kernel or in numpy."""
     kernel = find_kernel(model)
     if kernel is None:
         return partial(run_network, model.parameters, model.config.layers)
@@ -400,7 +405,7 @@ def run_network(parameters: Mapping[str, Float32], layers: int, x: Float32) -> t
 
 
 def _forward(parameters: Mapping[str, Float32], layers: int, hidden: Float32) -> tuple[Float32, Float32]:
-    """Evaluate the layers and both heads on one batch."""
+    """Evaluate the layers and both heads for one batch of inputs (n, D)."""
     for layer in range(layers):
         hidden = hidden @ parameters[f"layer{layer}.weight"].T
         hidden += parameters[f"layer{layer}.bias"]
@@ -410,7 +415,7 @@ def _forward(parameters: Mapping[str, Float32], layers: int, hidden: Float32) ->
 
 
 def _evaluate_numpy(model: Field, condition: Condition, network: NetworkFn) -> Emission:
-    """Evaluate F_Θ in numpy, for fields of any form; the reference of the kernel."""
+    """Evaluate F_Θ in numpy, for fields of any form; gives what the compiled kernel gives."""
     config, parameters = model.config, model.parameters
     inputs = build_inputs(
         condition,
@@ -441,7 +446,7 @@ def _evaluate_numpy(model: Field, condition: Condition, network: NetworkFn) -> E
 
 
 def find_kernel(model: Field) -> CDLL | None:
-    """Return the kernel if it supports this field, else None.
+    """Return the compiled library if it supports this field, else None.
 
     With the kernel the result of a state does not depend on the batch it is in, to the last bit.
     """
@@ -449,7 +454,7 @@ def find_kernel(model: Field) -> CDLL | None:
 
 
 def kernel_supports(config: FieldConfig) -> bool:
-    """Return True if the kernel supports fields of this form."""
+    """Return True if the compiled kernel supports fields of this architecture."""
     carriers = config.carriers
     has_shipped_form = (
         config.physics and config.emission == "log" and config.alpha_heads == 1 and not config.action_octaves
@@ -460,7 +465,10 @@ def kernel_supports(config: FieldConfig) -> bool:
 def evaluate_compiled(
     kernel: CDLL, emitter: EmissionTables, condition: Condition, network: Callable[[Float32], tuple[Float32, Float32]]
 ) -> tuple[Float, Float32]:
-    """Evaluate F_Θ by the kernel: α (n, K) and the σ head. network: inputs (n, D) → both heads, (n, …) each."""
+    """Evaluate F_Θ by the compiled kernel: α (n, K), and the σ head's outputs (n, N).
+
+    network: function inputs (n, D) → outputs of α head and σ head, (n, …) each.
+    """
     tokens, motion, touch = _state_columns(condition)
     fixed = np.array([encode_fixed_inputs(mechanics, condition.probe) for mechanics in condition.mechanics])
     x, prior = kernel_field.compute_inputs(kernel, emitter, tokens, fixed[condition.material], motion, touch)
@@ -469,7 +477,7 @@ def evaluate_compiled(
 
 
 def decode_outputs(kernel: CDLL, emitter: EmissionTables, condition: Condition, head: Float32) -> Float:
-    """Compute α (n, K) from known outputs of the α head (n, outputs)."""
+    """Compute the amplitudes α (n, K) from known outputs of the α head (n, outputs), without running the network."""
     return kernel_field.decode_known_head(
         kernel, emitter, *_state_columns(condition), np.ascontiguousarray(head, dtype=np.float32)
     )
@@ -477,7 +485,11 @@ def decode_outputs(kernel: CDLL, emitter: EmissionTables, condition: Condition, 
 
 @lru_cache(maxsize=16)
 def get_emitter(config: FieldConfig, skip: bytes, probe: str, ceiling: float) -> EmissionTables:
-    """Return the kernel's tables of a field. skip: the parameter's float32 bytes. ceiling: of a log amplitude."""
+    """Return the kernel's tables of a field, cached.
+
+    skip: weight of the linear contact's log amplitude per carrier, the parameter's float32 bytes. ceiling: largest log
+    amplitude.
+    """
     carriers = config.carriers
     shift, scale = token_normalisation()
     knots = config.arc_knots or carriers.arc_count
@@ -497,12 +509,15 @@ def get_emitter(config: FieldConfig, skip: bytes, probe: str, ceiling: float) ->
 
 
 def encode_fixed_inputs(mechanics: Mechanics, probe: str) -> tuple[float, ...]:
-    """Return the inputs that depend on material and probe alone, from MECHANICS_COLUMN on."""
+    """Return the network inputs that depend on mechanics and probe alone; they start at column MECHANICS_COLUMN."""
     return (*encode_mechanics(mechanics), *(float(name == probe) for name in PROBE_NAMES))
 
 
 def _state_columns(condition: Condition) -> tuple[Float, Float, Float]:
-    """Return tokens (n, TOKEN_DIM), and the columns MOTION_COLUMNS and CONTACT_COLUMNS of n states."""
+    """Return what the kernel needs of n states: tokens (n, TOKEN_DIM), motion (n, 7) and contact (n, 9).
+
+    Columns of the last two are MOTION_COLUMNS and CONTACT_COLUMNS.
+    """
     touch, resonance = compute_contact_columns(condition)
     motion = np.empty((len(resonance), len(kernel_field.MOTION_COLUMNS)))
     motion[:, :2] = condition.direction

@@ -1,10 +1,11 @@
-"""Height profile under the path, as one more carrier that shares the power of F_Θ with the noise.
+"""Height profile under the path: the measured relief, which shares the power that F_Θ predicts with the noise.
 
-`build_stroke_profile` joins the patches' tactile maps to one profile along the path. F_Θ predicts the total power S(f;
-m, u), which already contains the surface's height. The profile, sent through the same linear contact, has the expected
-power S_p. Per arc band its amplitude is scaled by g, g² = min(1, S / S_p), and the noise carriers have max(S − g² S_p,
-0) / S of their power left, so that the sum is S again. S_p is the profile's *stationary* power, measured away from
-events, so that a seam is not taken for texture and stays audible.
+`build_stroke_profile` joins the tactile maps (height maps) of the surface patches to one profile along the path. F_Θ
+predicts the total power S(f; m, u), which already contains the surface's height. The profile, sent through the same
+linear contact, has the expected power S_p. Per arc band (a band of wavenumbers along the path) its amplitude is scaled
+by g, g² = min(1, S / S_p), and the noise carriers have max(S − g² S_p, 0) / S of their power left, so that the sum is S
+again. S_p is the profile's *stationary* power, measured without single events such as a seam, which would otherwise be
+taken for texture and made inaudible.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ _MAX_EVENTS = 0.15
 
 @dataclass(frozen=True)
 class ProfileBands:
-    """Profile split into the arc bands, for the octaves that it resolves.
+    """Height profile split into the arc bands (bands of wavenumber), for the octaves that it resolves.
 
     waves: per octave (24, m_o) float32 [m] on the octave's spatial grid. first: per octave the grid index of the first
-    sample. power: (Ka,) stationary power per band [m²].
+    sample. power: (Ka,) power per band without single events such as seams [m²].
     """
 
     waves: tuple[NDArray[np.float32], ...]
@@ -48,7 +49,7 @@ class ProfileBands:
     power: Float
 
     def read_bands(self, octave: int, start: int, count: int) -> Float:
-        """Return the bands (24, count) of an octave, 0 outside the profile; an ArcSource."""
+        """Return an octave's bands (24, count) [m] at grid indices start, start + 1, …; 0 outside the profile."""
         out = np.zeros((ARC_PER_OCTAVE, count))
         if octave < len(self.waves):
             wave, first = self.waves[octave], self.first[octave]
@@ -60,9 +61,10 @@ class ProfileBands:
 
 @dataclass(frozen=True)
 class PowerShares:
-    """Division of the power between profile and noise.
+    """Factors that divide the power of F_Θ between the height profile and the noise carriers.
 
-    profile: (n, Ka) factor g on the height. arc: (n, Ka), time: (n, Kt) factors on the noise carriers' amplitudes.
+    profile: (n, Ka) factor g on the profile's band heights. arc: (n, Ka), time: (n, Kt) factors on the noise carriers'
+    amplitudes.
     """
 
     profile: Float
@@ -71,7 +73,7 @@ class PowerShares:
 
 
 def split_profile(profile: HeightProfile, carriers: Carriers) -> ProfileBands:
-    """Split the profile into the arc bands by FFT, without the straight line through its ends."""
+    """Split a profile into the arc bands (bands of wavenumber) by FFT, less the straight line through its ends."""
     finest = 1.0 / max(profile.resolved_wavelength_m, 2.0 * profile.step_m)
     edges = carriers.arc_edges()
     octaves = int(np.sum(edges[:-1:ARC_PER_OCTAVE] < finest))
@@ -121,9 +123,9 @@ def split_profile(profile: HeightProfile, carriers: Carriers) -> ProfileBands:
 
 
 def _stationary_power(total: Float, level: Float, band_edges: Float) -> Float:
-    """Compute the mean power (24,) of an octave's bands over the segments without events.
+    """Compute the mean power (24,) of an octave's bands over those parts of the profile without events such as seams.
 
-    total: (m,) sum of the bands. level: (24,) their mean power with all events.
+    total: (m,) height summed over the bands. level: (24,) their mean power with all events.
     """
     if len(total) == 0:
         return level
@@ -151,7 +153,10 @@ def _stationary_power(total: Float, level: Float, band_edges: Float) -> Float:
 
 
 def share_power(amplitude: Float, bands: ProfileBands, condition: Condition, carriers: Carriers) -> PowerShares:
-    """Divide the field's power between profile and noise at every state; amplitude (n, K) as accumulated."""
+    """Divide the power that the field predicts between height profile and noise at each of n states.
+
+    amplitude: (n, K) of the carriers, as field.accumulate gives it.
+    """
     arc_amplitude, time_amplitude = amplitude[:, carriers.arc_slice], amplitude[:, carriers.time_slice]
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
     edges = carriers.arc_edges()
@@ -177,7 +182,7 @@ def share_power(amplitude: Float, bands: ProfileBands, condition: Condition, car
         cell = rows * carriers.time_count + np.clip(time_band, 0, carriers.time_count - 1)
 
         def sum_by_time_band(values: Float) -> Float:
-            """Sum values (n, Ka) in the time band that each arc carrier's tone falls into, (n, Kt)."""
+            """Sum values (n, Ka) of arc carriers in the time band that the frequency κ v of each is in, (n, Kt)."""
             sums = np.bincount(cell.ravel(), weights=values.ravel(), minlength=time_part.size)
             return np.asarray(sums, dtype=np.float64).reshape(time_part.shape)
 
@@ -219,12 +224,13 @@ def build_stroke_profile(
     patches
         Patches of the surface.
     maps
-        Map of each patch. It is flat there if the map is None, holds no height or resolves no finite wavelength.
+        Tactile map of each patch. It is flat there if the map is None, holds no height or resolves no finite
+        wavelength.
 
     Returns
     -------
     HeightProfile or None
-        The profile resolves what the coarsest measured map resolves. None if no touched patch has a height, or the hand
+        Its resolved wavelength is that of the coarsest measured map. None if no touched patch has a height, or the hand
         never moves.
 
     Raises
@@ -268,13 +274,17 @@ def build_stroke_profile(
 def _has_resolved_height(tactile: HeightMap) -> bool:
     """Return True if a map has a height with a finite resolved wavelength.
 
-    A map whose texels are collapsed (UVs projected from the side) has a height, and an infinite wavelength.
+    Where UVs were projected from the side, texels are stretched without limit: such a map has heights, but its
+    wavelength is infinite.
     """
     return tactile.height is not None and bool(np.isfinite(tactile.resolved_wavelength_m))
 
 
 def _find_owner(grid: Float, position: Float, patch_index: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the patch of the action sample nearest to each grid position; it may be −1."""
+    """Return the patch at each position of the profile's grid, that of the nearest action sample; −1 off the surface.
+
+    position, patch_index: of the action samples.
+    """
     positions, first = np.unique(position, return_index=True)
     right = np.clip(np.searchsorted(positions, grid), 1, len(positions) - 1)
     nearest = np.where(grid - positions[right - 1] < positions[right] - grid, right - 1, right)
@@ -282,7 +292,7 @@ def _find_owner(grid: Float, position: Float, patch_index: NDArray[np.int32]) ->
 
 
 def _smooth_indicator(indicator: Float, length: float) -> Float:
-    """Smooth a 0/1 track with a raised cosine; the smoothed indicators of a partition still sum to 1."""
+    """Smooth a 0/1 signal (one patch is touched or not) with a raised cosine of `length` samples."""
     half = max(1, round(length))
     kernel = 1.0 + np.cos(np.pi * np.arange(-half, half + 1) / (half + 1))
     padded = np.pad(indicator, half, mode="edge")

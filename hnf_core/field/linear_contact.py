@@ -1,10 +1,10 @@
-"""Linear contact: the vibration of a steady stroke to first order, from the token's spectrum. Physical prior of F_Θ.
+"""Linear contact: the vibration of a steady stroke to first order, from the material token. Physical prior of F_Θ.
 
-Three axes add in power, as DFT321 combines them: the normal acceleration through contact_model.height_response;
-friction, which carries μ times the same force fluctuation sideways; and the load leaning on the slopes, F ∇h / m, more
-so against the motion, on a mass that the hand holds. With this input the network has only hopping, creep and saturation
-left to learn; from the bare token it would have to learn a shift of 200 bands with speed and direction, which a small
-ReLU net does badly.
+The token holds the surface's height spectrum. Three axes add in power, as DFT321 combines them: the normal acceleration
+through contact_model.height_response; friction, which carries μ times the same force fluctuation sideways; and the load
+leaning on the slopes, F ∇h / m, more so against the motion, on a mass that the hand holds. With this input the network
+has only hopping, creep and saturation left to learn; from the bare token it would have to learn a shift of 200 bands
+with speed and direction, which a small ReLU net does badly.
 
 The tones of a lattice are separated from the noise around them. A weave, knurl or grating sounds at κ |cos δ| v. One
 smooth correction over log κ, which suits noise, cannot silence one tone and preserve its neighbour; a free value per
@@ -54,10 +54,10 @@ LINE_FLOOR_M_S2 = 1e-5
 
 @dataclass(frozen=True)
 class SpectralLines:
-    """Tones of n states.
+    """Tones of a regular surface (weave, knurl, grating) under n states of the hand.
 
-    power: (2, n, LINE_COUNT) acceleration power [(m/s²)²] in the two arc carriers about each tone. low: (n, LINE_COUNT)
-    index of the lower one, which may lie outside the carriers.
+    power: (2, n, LINE_COUNT) acceleration power [(m/s²)²] in the two arc carriers (bands along the path) on either side
+    of each tone. low: (n, LINE_COUNT) index of the lower one, which may lie outside the carriers.
     """
 
     power: Float
@@ -65,7 +65,7 @@ class SpectralLines:
 
 
 def encode_line_prior(lines: SpectralLines) -> Float:
-    """Return the columns (n, 3 LINE_COUNT) that follow the prior.
+    """Return the tones as columns (n, 3 LINE_COUNT), which are appended to the prior of the network.
 
     Log amplitude in the lower and in the upper of the two carriers about each tone, then the index of the lower one.
     """
@@ -76,8 +76,8 @@ def encode_line_prior(lines: SpectralLines) -> Float:
 def compute_line_power(gains: Float, columns: Float, count: int, ceiling: float) -> Float:
     """Compute the power of the tones per arc carrier, (n, count).
 
-    gains: (n, LINE_GAIN_COUNT) logarithmic. columns: (n, 3 LINE_COUNT) of encode_line_prior. ceiling: of a log
-    amplitude.
+    gains: (n, LINE_GAIN_COUNT) learned log gains of the tones and their harmonics. columns: (n, 3 LINE_COUNT) of
+    encode_line_prior. count: number of arc carriers. ceiling: largest log amplitude.
     """
     rows = np.broadcast_to(np.arange(len(gains))[:, None], (len(gains), LINE_COUNT))
     low = columns[:, 2 * LINE_COUNT :].astype(np.intp)
@@ -112,20 +112,20 @@ This and the three constants above are equal to the simulator's (checked by a te
 
 @dataclass(frozen=True)
 class Condition:
-    """States at which the field is evaluated, n of them.
+    """Inputs of the field at n states: motion and force of the hand, and the materials touched.
 
     Attributes
     ----------
     tokens
-        (n, TOKEN_DIM).
+        (n, TOKEN_DIM) material token at each state.
     mechanics
-        One per material.
+        Stiffness, damping and friction, one per material.
     material
         (n,) index of each state's material.
     direction
         (n, 2) unit vectors.
     speed, force
-        (n,) [m/s] and [N].
+        (n,) [m/s] and pressing force [N].
     contact
         (n,) bool.
     probe
@@ -142,14 +142,14 @@ class Condition:
     probe: str
 
     def rows(self, rows: slice | NDArray[np.bool_]) -> Condition:
-        """Return some of the states, with all materials."""
+        """Return the condition of some of the states, with the mechanics of all materials."""
         names = ("tokens", "material", "direction", "speed", "force", "contact")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 @dataclass(frozen=True)
 class LinearContact:
-    """Linear contact of n states.
+    """Vibration that the linear contact predicts at n states of the hand.
 
     Attributes
     ----------
@@ -158,11 +158,11 @@ class LinearContact:
     normal
         (n,) power of the normal axis alone [(m/s²)²].
     resonance
-        (n,) of probe on contact [Hz].
+        (n,) resonance of the probe's mass on the contact's stiffness [Hz].
     noise
-        (n, Ka) power without the tones [(m/s²)²].
+        (n, Ka) power per arc band without the tones [(m/s²)²].
     lines
-        The tones.
+        The tones of a regular surface.
     """
 
     power: Float
@@ -187,7 +187,7 @@ def upper_fade(frequency: Float) -> Float:
 
 
 def compute_linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
-    """Compute the expected power of each state as if it lasted.
+    """Compute the power that the linear contact predicts at each of n states, as if the hand stayed in that state.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def compute_linear_contact(condition: Condition, carriers: Carriers) -> LinearCo
     Returns
     -------
     LinearContact
-        Powers per arc band, noise and tones apart.
+        Powers per arc band; of noise alone; and of tones.
     """
     touch, resonance = compute_contact_columns(condition)
     kernel = load_kernel()
@@ -215,7 +215,7 @@ def compute_linear_contact(condition: Condition, carriers: Carriers) -> LinearCo
 def compute_contact_columns(condition: Condition) -> tuple[dict[str, Float], Float]:
     """Compute the contact parameters (n,) of each state, by the names in CONTACT_COLUMNS, and its resonance [Hz].
 
-    All are in SI units.
+    Parameters are contact radius, stiffness, damping, friction and others, all in SI units.
     """
     probe, force = PROBES[condition.probe], np.maximum(condition.force, FORCE_FLOOR_N)
     radius, stiffness, damping, friction, resonance = np.zeros((5, len(force)))
@@ -242,7 +242,7 @@ def compute_contact_columns(condition: Condition) -> tuple[dict[str, Float], Flo
 
 
 def lateral_hand_impedance(probe: str) -> tuple[float, float]:
-    """Return (k / m, 4 ζ² k / m) [rad²/s²] of the hand that holds the probe sideways."""
+    """Return the sideways stiffness and damping of the hand on the probe's mass, (k / m, 4 ζ² k / m) [rad²/s²]."""
     stiffness = HAND_STIFFNESS_N_M / PROBES[probe].mass_kg
     return stiffness, 4.0 * HAND_DAMPING_RATIO**2 * stiffness
 
@@ -250,7 +250,7 @@ def lateral_hand_impedance(probe: str) -> tuple[float, float]:
 def _linear_contact_numpy(
     condition: Condition, carriers: Carriers, touch: dict[str, Float], resonance: Float
 ) -> LinearContact:
-    """Compute the linear contact in numpy; the reference of the kernel."""
+    """Compute the linear contact in numpy, as the compiled kernel does."""
     kappa, wave_square = carriers.arc_centres(), np.square(2.0 * np.pi * carriers.arc_centres())
     spectrum = compute_surface_spectrum(condition.tokens, condition.direction, carriers)
     speed, radius, stiffness, damping, mass, load_square, rubbed, flank = (
@@ -286,9 +286,9 @@ def _linear_contact_numpy(
 
 
 def profile_band_power(height_spectrum: Float, condition: Condition, carriers: Carriers) -> Float:
-    """Compute the acceleration power (n, Ka) along the normal that a profile's height power per arc band (Ka,) gives.
+    """Compute the normal acceleration power (n, Ka) that a relief with a height power per arc band (Ka,) causes.
 
-    It is 0 out of contact.
+    height_spectrum: (Ka,) [m²]. The result is in (m/s²)², 0 out of contact.
     """
     kappa, probe = carriers.arc_centres(), PROBES[condition.probe]
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
@@ -303,7 +303,7 @@ def profile_band_power(height_spectrum: Float, condition: Condition, carriers: C
 
 
 def time_band_power(arc_power: Float, speed: Float, carriers: Carriers) -> Float:
-    """Compute the power (n, Kt) in each time band when arc bands of power (n, Ka) move at speed (n,)."""
+    """Sort power per arc band (n, Ka) into time bands (n, Kt), at the frequencies f = κ v that speeds v (n,) give."""
     cumulative = np.concatenate([np.zeros((len(arc_power), 1)), np.cumsum(arc_power, axis=1)], axis=1)
     log_speed = np.log2(np.maximum(speed, SPEED_FLOOR_M_S))[:, None]
     position = np.clip(time_edges_in_arc_bands(carriers) - ARC_PER_OCTAVE * log_speed, 0.0, arc_power.shape[1])
@@ -314,7 +314,7 @@ def time_band_power(arc_power: Float, speed: Float, carriers: Carriers) -> Float
 
 
 def time_edges_in_arc_bands(carriers: Carriers) -> Float:
-    """Return the positions (Kt + 1,) of the time bands' edges on the axis of arc bands, at 1 m/s."""
+    """Return the time bands' edges (Kt + 1,) as fractional arc-band indices, at a speed of 1 m/s."""
     return np.asarray(ARC_PER_OCTAVE * np.log2(carriers.time_edges() / carriers.arc_start_per_m))
 
 

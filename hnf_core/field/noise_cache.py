@@ -1,10 +1,11 @@
-"""Cache of carriers in their cheapest form, with as few samples as their bands need.
+"""Cache of the carriers (noise bands), stored with as few samples as their bandwidth needs.
 
-Carriers in time are stored at the model's rate, its half or its quarter. An octave of arc carriers is stored
-demodulated by the middle of the octave, Re(c(s) e^{2πiκs}): complex, two values per shortest wave in place of sixteen
-samples. Hop h is the half block in which noise block h fades in over the second half of block h − 1. Any hop is
-computable alone, and equals the carriers' own waves (Carriers.time_samples, Carriers.arc_samples). `prefetch_noise`
-draws hops in a thread while F_Θ is evaluated: neither waits for the other, and two cores do both at once.
+Carriers in time are stored at the model's rate, its half or its quarter. An octave of arc carriers (bands along the
+path, at position s) is stored demodulated by the middle of the octave, Re(c(s) e^{2πiκs}): complex, two values per
+shortest wave in place of sixteen samples. Noise is drawn in blocks that overlap by half. Hop h is the half block in
+which block h fades in over the second half of block h − 1. Any hop is computable alone, and equals the carriers' own
+waves (Carriers.time_samples, Carriers.arc_samples). `prefetch_noise` draws hops in a thread while F_Θ is evaluated: two
+cores do both at once.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ CACHED_TIME_HOPS, CACHED_ARC_HOPS = 48, 256
 
 
 def find_level(frequency_hz: float) -> int:
-    """Return how often the model's rate may be halved for a carrier of this frequency."""
+    """Return how often the 10 kHz model rate may be halved for a carrier of this frequency, 0 to 2."""
     level = LEVEL_COUNT - 1
     while level and frequency_hz > MAX_RELATIVE_FREQUENCY * MODEL_RATE_HZ / 2**level:
         level -= 1
@@ -78,7 +79,10 @@ def find_level(frequency_hz: float) -> int:
 
 @lru_cache(maxsize=8)
 def group_time_levels(carriers: Carriers) -> tuple[slice, ...]:
-    """Return the time carriers stored at each level, as slices, which are contiguous because bands ascend."""
+    """Return for each level (sample rate halved 0, 1 or 2 times) the time carriers stored at that rate, as a slice.
+
+    Bands ascend in frequency, so those of a level are contiguous.
+    """
     levels = [find_level(float(edge)) for edge in carriers.time_edges()[1:]]
     ends = [sum(band_level >= level for band_level in levels) for level in range(LEVEL_COUNT + 1)]
     return tuple(slice(ends[level + 1], ends[level]) for level in range(LEVEL_COUNT))
@@ -86,14 +90,20 @@ def group_time_levels(carriers: Carriers) -> tuple[slice, ...]:
 
 @lru_cache(maxsize=CACHED_TIME_HOPS)
 def get_time_hop(carriers: Carriers, seed: int, hop: int) -> TimeHop:
-    """Return the time carriers of a hop at each level, (bands, margin + HOP_SIZE / 2^level + margin)."""
+    """Return the time carriers in hop number `hop` (HOP_SIZE samples), at the sample rate each is stored at.
+
+    Per level (rate halved 0, 1 or 2 times): (bands, margin + HOP_SIZE / 2^level + margin).
+    """
     first, second, third, fourth = (_draw_time_block(carriers, seed, hop + shift) for shift in (-2, -1, 0, 1))
     levels = zip(first, second, third, fourth, LEVEL_MARGINS, strict=True)
     return TimeHop.from_waves(tuple(_join_time_blocks(*blocks) for blocks in levels))
 
 
 def _join_time_blocks(first: Float32, second: Float32, third: Float32, fourth: Float32, margin: int) -> Float32:
-    """Add the blocks in the hop where the third fades in over the second, with `margin` samples on either side."""
+    """Add four successive noise blocks in the hop where the third fades in over the second.
+
+    margin: samples kept on either side of the hop, which the first and the fourth block reach into.
+    """
     half = second.shape[1] // 2
     hop = np.empty((len(second), half + 2 * margin), dtype=np.float32)
     np.add(second[:, half:], third[:, :half], out=hop[:, margin : margin + half])
@@ -106,9 +116,9 @@ def _join_time_blocks(first: Float32, second: Float32, third: Float32, fourth: F
 
 @lru_cache(maxsize=CACHED_ARC_HOPS)
 def get_arc_hop(carriers: Carriers, seed: int, octave: int, hop: int) -> ArcHop:
-    """Return one octave's carriers (24, ARC_HOP_CELLS) of a hop.
+    """Return one octave's arc carriers (24, ARC_HOP_CELLS) in hop number `hop`, demodulated.
 
-    Cell j lies at s = (hop · ARC_HOP_CELLS + j) · CELL_SAMPLES · arc_step_m(octave).
+    Cell j, one complex sample, lies at s = (hop · ARC_HOP_CELLS + j) · CELL_SAMPLES · arc_step_m(octave).
     """
     waves = join_arc_blocks(*(_get_arc_block(carriers, seed, octave, block) for block in (hop - 1, hop)))
     waves.setflags(write=False)
@@ -116,19 +126,19 @@ def get_arc_hop(carriers: Carriers, seed: int, octave: int, hop: int) -> ArcHop:
 
 
 def join_arc_blocks(before: Waves, after: Waves, out: Waves | None = None) -> Waves:
-    """Add two blocks (24, ARC_BLOCK_CELLS) in the hop where the second fades in over the first; (24, ARC_HOP_CELLS)."""
+    """Add two noise blocks (24, ARC_BLOCK_CELLS) in their common half, where `after` fades in; (24, ARC_HOP_CELLS)."""
     return np.add(before[:, ARC_HOP_CELLS:], after[:, :ARC_HOP_CELLS], out=out)
 
 
 def draw_arc_block(carriers: Carriers, seed: int, octave: int, block: int, out: Waves | None = None) -> Waves:
-    """Draw one block (24, ARC_BLOCK_CELLS) of an octave, to be joined to its neighbours."""
+    """Draw one windowed noise block (24, ARC_BLOCK_CELLS) of an octave, to be added to its neighbours."""
     bins, plan = _arc_plan(carriers, octave)
     return render_complex_waves(2.0 * draw_band_bins(seed, ARC_STREAM + octave, block, bins), plan, out)
 
 
 @lru_cache(maxsize=4)
 def _draw_time_block(carriers: Carriers, seed: int, block: int) -> tuple[Float32, ...]:
-    """Draw one block of the time carriers at each level."""
+    """Draw one windowed noise block of the time carriers, at each of the stored sample rates."""
     bins, plans = _time_plans(carriers)
     drawn, begin = draw_band_bins(seed, 0, block, bins), bins.starts[0]
     return tuple(render_real_waves(drawn[plan.starts[0] - begin : plan.starts[-1] - begin], plan) for plan in plans)
@@ -136,13 +146,13 @@ def _draw_time_block(carriers: Carriers, seed: int, block: int) -> tuple[Float32
 
 @lru_cache(maxsize=32)  # Enough for the two or three blocks that a hop needs of each of eight octaves.
 def _get_arc_block(carriers: Carriers, seed: int, octave: int, block: int) -> Waves:
-    """Draw one block of an octave, or return it from the cache."""
+    """Return one noise block of an octave of arc carriers, drawn or from the cache."""
     return draw_arc_block(carriers, seed, octave, block)
 
 
 @lru_cache(maxsize=4)
 def _time_plans(carriers: Carriers) -> tuple[Bins, tuple[WavePlan, ...]]:
-    """Return the bins of the time carriers and the wave plan of each level."""
+    """Return the FFT bins of the time carriers, and the tables that turn them into waves at each stored sample rate."""
     bins = make_bins(carriers.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
     return bins, tuple(
         make_wave_plan(bins.starts[bands.start : bands.stop + 1], block_window(TIME_BLOCK, 1 << level))
@@ -152,7 +162,7 @@ def _time_plans(carriers: Carriers) -> tuple[Bins, tuple[WavePlan, ...]]:
 
 @lru_cache(maxsize=32)
 def _arc_plan(carriers: Carriers, octave: int) -> tuple[Bins, WavePlan]:
-    """Return the bins and the wave plan of one octave."""
+    """Return the FFT bins of one octave's carriers, and the tables that turn them into waves."""
     first = octave * ARC_PER_OCTAVE
     edges = carriers.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (carriers.arc_step_m(octave) * ARC_BLOCK)
     bins = make_bins(edges, ARC_BLOCK)
@@ -160,7 +170,7 @@ def _arc_plan(carriers: Carriers, octave: int) -> tuple[Bins, WavePlan]:
 
 
 def block_window(size: int, step: int) -> NDArray[np.float64]:
-    """Return every step-th sample of a block's fade over the block's length, (size / step,)."""
+    """Return every step-th sample of the cross-fade window of a block of `size` samples, (size / step,)."""
     return crossfade_window(size)[::step] / size
 
 
@@ -178,7 +188,7 @@ CELLS_BEFORE, CELLS_AFTER = 1, 2
 def prefetch_noise(config: FieldConfig, seed: int, action: Action, origin: int = 0) -> Iterator[None]:
     """Draw the carriers of a stroke in a thread while the body of the `with` statement runs.
 
-    Hops are drawn in the order in which the stroke needs them, and the thread stops when the body ends.
+    Noise is drawn in the order in which the stroke needs it, into the cache. The thread stops when the body ends.
 
     Parameters
     ----------
@@ -189,7 +199,7 @@ def prefetch_noise(config: FieldConfig, seed: int, action: Action, origin: int =
     action
         Action at ACTION_RATE_HZ.
     origin
-        First sample on the carriers' clock, see prepare.PreparedStroke.
+        Sample on the carriers' clock at which the action begins, if it is part of a longer stroke.
 
     Notes
     -----
@@ -219,7 +229,7 @@ def prefetch_noise(config: FieldConfig, seed: int, action: Action, origin: int =
 
 
 def _plan_draws(carriers: Carriers, seed: int, action: Action, origin: int) -> Iterator[Draw]:
-    """Yield the draws that a stroke needs, in order; nothing if the first hop is cached, since then most others are."""
+    """Yield the calls that draw a stroke's noise, in order; none if the first is cached, since then most others are."""
     audible = action.contact & (action.speed > 0.0) & (action.force > 0.0)
     if not audible.any():
         return

@@ -1,8 +1,8 @@
-"""Evaluate F_Θ for a stroke and prepare everything at the action rate that a block of samples is rendered from.
+"""Evaluate the field F_Θ for a stroke and prepare what its samples are then rendered from.
 
-`prepare_stroke` turns a StrokeInput into a PreparedStroke: at every state of the action, a chunk of states at a time,
-or with a tolerance at the samples that adaptive_sampling chooses. The module also finds the audible spans of a stroke
-and splits them into blocks.
+`prepare_stroke` turns a StrokeInput into a PreparedStroke: F_Θ is evaluated at every state of the action (200 Hz), a
+chunk of states at a time, or with a tolerance at the fewer samples that adaptive_sampling chooses. The module also
+finds the audible spans of a stroke and splits them into blocks.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ MAX_JOINED_BLOCKS = 32
 
 
 def compute_audible_gain(contact: NDArray[np.bool_], count: int) -> Float:
-    """Compute the gain (count,): 1 in contact (n,), with fades to exactly 0 before and after it.
+    """Compute a gain (count,) on the samples: 1 in contact, with fades to exactly 0 before and after it.
 
-    The fades last BEFORE_CONTACT_S and AFTER_CONTACT_S.
+    contact: (n,) at the 200 Hz states. The fades last BEFORE_CONTACT_S and AFTER_CONTACT_S.
     """
     indices = np.flatnonzero(contact)
     if len(indices) == 0:
@@ -85,7 +85,7 @@ def compute_audible_gain(contact: NDArray[np.bool_], count: int) -> Float:
 
 
 def is_audible(audible: Float) -> bool:
-    """Return True if a gain (count,) is above 0 anywhere; the maximum is faster than any()."""
+    """Return True if a gain (count,) is above 0 anywhere; the max() is faster than any()."""
     return bool(audible.max(initial=0.0) > 0.0)
 
 
@@ -95,7 +95,10 @@ def split_blocks(count: int) -> list[tuple[int, int]]:
 
 
 def find_audible_spans(audible: Float) -> Iterator[tuple[int, int]]:
-    """Yield (start, length) of runs of audible blocks, MAX_JOINED_BLOCKS at most, for a gain (count,)."""
+    """Yield (start, length) [samples] of each run of blocks in which a gain (count,) is above 0.
+
+    A run has at most MAX_JOINED_BLOCKS blocks.
+    """
     begin, end = 0, 0
     for start, count in split_blocks(len(audible)):
         if not is_audible(audible[start : start + count]):
@@ -117,26 +120,26 @@ In numpy results depend on how many states are evaluated at once, so this is par
 
 @dataclass(frozen=True)
 class PreparedStroke:
-    """Stroke with F_Θ evaluated: everything that a block of samples needs.
+    """Stroke with F_Θ evaluated: everything needed to render any block of its samples.
 
     Attributes
     ----------
     amplitude
         (m, heads, K) of the noise carriers, linear in time between knots.
     force
-        (n,) pressing force [N].
+        (n,) pressing force [N] at the 200 Hz states.
     audible
         (count,) gain 0 … 1, zero far from contact.
     profile_amplitude
-        (n, Ka) factor on the profile's bands.
+        (n, Ka) factor on each band of the height profile.
     loudest
         The field's largest amplitude in each chunk of states [m/s²].
     unbridged
-        profile_amplitude before bridge_rest_gaps().
+        profile_amplitude as it was before bridge_rest_gaps().
     knots
-        (m,) samples of the model rate; None for one at each of the n states.
+        (m,) 10 kHz samples at which amplitude is given; None if it is at each of the n states.
     residual_power
-        Power that the knots leave out, relative to all, see SampledEmission.
+        Error power of interpolating between knots, relative to the signal's power, see SampledEmission.
     origin
         Sample of the carriers' clock at which this begins, if it is a chunk of a longer stroke.
     """
@@ -158,7 +161,7 @@ class PreparedStroke:
 
     @property
     def count(self) -> int:
-        """Number of samples."""
+        """Number of samples at 10 kHz."""
         return len(self.audible)
 
 
@@ -180,21 +183,21 @@ def prepare_stroke(
     stroke
         The stroke.
     seed
-        Seed of the carriers.
+        Seed of the carriers' noise.
     earlier
-        Prepared stroke that differs in force and contact alone; only chunks of states in which they differ are
-        evaluated, and the result is the same.
+        Prepared stroke that differs in force and contact alone; then only chunks of states in which they differ are
+        evaluated; the result is the same as without it.
     tolerance
-        Largest error of the amplitudes, as root of the power over the whole stroke. F_Θ is then evaluated at adaptive
-        samples instead of at every state. Ignored if the stroke has a height profile or the field accumulates over
-        heads.
+        Largest RMS error due to interpolated amplitudes, relative to the RMS of the whole stroke. F_Θ is then evaluated
+        at adaptive samples instead of at every state. Ignored if the stroke has a height profile or the field
+        accumulates over heads.
     evaluator
-        Function that evaluates the field; a replacement may be a table.
+        Function that evaluates the field at n states, in place of field.evaluate.
 
     Returns
     -------
     PreparedStroke
-        Everything that a block of samples needs.
+        Everything needed to render any block of samples.
 
     Raises
     ------
@@ -256,14 +259,14 @@ def prepare_stroke(
 
 
 def iterate_state_chunks(field: Field, count: int) -> Iterator[tuple[slice, slice]]:
-    """Yield the rows of each chunk of `count` states, and the rows it depends on (the chunk and its memory)."""
+    """Split `count` states into chunks; yield the rows of each, and those rows with the past states it depends on."""
     for start in range(0, count, CHUNK_STATES):
         stop = min(start + CHUNK_STATES, count)
         yield slice(start, stop), slice(max(start - count_memory_states(field), 0), stop)
 
 
 class _EmissionCache:
-    """Emissions of consecutive chunks.
+    """Outputs of the field for consecutive chunks of a stroke's states.
 
     Evaluates states in batches that span several chunks, each state once, and skips states that no chunk in contact
     uses.
@@ -278,7 +281,7 @@ class _EmissionCache:
         self._emission = _zero_emission(field, 0)
 
     def rows(self, states: slice) -> Emission:
-        """Return the emissions of some states, evaluating those that are missing and forgetting those before."""
+        """Return the field's output at some states; evaluate missing ones, and forget all before them."""
         if states.stop > self._end:
             known = self._emission.rows(slice(max(states.start - self._begin, 0), None))
             begin = max(states.start, self._end)
@@ -303,12 +306,15 @@ def _zero_emission(field: Field, count: int) -> Emission:
 
 
 def has_no_contact(condition: Condition, states: slice) -> bool:
-    """Return True if none of the states touches; then nothing is emitted or remembered."""
+    """Return True if the hand touches at none of the states; then the field's output is 0 there."""
     return not condition.contact[states].any()
 
 
 def supports_tolerance(field: Field, stroke: StrokeInput) -> bool:
-    """Return True if a tolerance applies: past states, and no profile that shares the power."""
+    """Return True if the field can be evaluated adaptively, within a tolerance, for this stroke.
+
+    That needs accumulation over past states, and no height profile that shares the power with arc carriers.
+    """
     shared = stroke.profile is not None and field.config.carriers.arc_count > 0
     return field.config.accumulation == "past" and not shared
 
@@ -321,7 +327,7 @@ def prepare_sampled(
     token_index: NDArray[np.int32],
     sampled: SampledEmission,
 ) -> PreparedStroke:
-    """Prepare a stroke from its emissions at some samples, with straight lines between them.
+    """Prepare a stroke from the field's outputs at chosen samples, linearly interpolated between them.
 
     action and token_index are those of stroke.resample_action.
     """
@@ -348,9 +354,9 @@ def make_evaluate_at(
     token_index: NDArray[np.int32],
     evaluator: Evaluator = evaluate,
 ) -> EvaluateAt:
-    """Return the function that evaluates F_Θ at samples of a stroke.
+    """Return a function (10 kHz samples of a stroke) → F_Θ's output there.
 
-    Samples that are not in contact, nor connected to one by memory or interpolation, are 0 and not evaluated.
+    Samples that neither are in contact nor reach one by past states or interpolation get 0 and are not evaluated.
     """
     near_contact = _reaches_contact(action.contact, count_memory_states(field))
 
@@ -368,7 +374,7 @@ def make_evaluate_at(
 
 
 def _reaches_contact(contact: NDArray[np.bool_], states: int) -> NDArray[np.bool_]:
-    """Return (n,) whether a state, the next one, or any of `states` + 1 before it touches."""
+    """Return (n,) whether a state, the next one, or any of the `states` + 1 states before it is in contact."""
     touched = np.concatenate([[0], np.cumsum(contact)])
     by_next = np.append(touched[2:], touched[-1])
     before = np.concatenate([np.zeros(states + 1, dtype=touched.dtype), touched])[: len(contact)]
@@ -385,9 +391,10 @@ def _inputs_differ(action: Action, other: Action, rows: slice) -> bool:
 def _compute_amplitudes(
     field: Field, condition: Condition, emission: Emission, bands: ProfileBands | None, frequency: Float, rows: slice
 ) -> tuple[Float, Float | None, float]:
-    """Return the noise amplitudes (m, heads, K) and profile amplitudes (m, Ka) of a chunk, and the field's largest.
+    """Return a chunk's noise amplitudes (m, heads, K), profile factors (m, Ka), and the largest amplitude.
 
-    emission: of the chunk and its memory. frequency: (m, Ka) of the chunk's arc bands [Hz].
+    emission: the field's output at the chunk and the past states it depends on. bands: height profile, None for none.
+    frequency: (m, Ka) of the arc bands, κ · speed [Hz]. rows: the chunk's m states.
     """
     carriers = field.config.carriers
     amplitude = accumulate(field.config, emission, len(emission.alpha) - (rows.stop - rows.start))
@@ -412,16 +419,16 @@ def count_memory_states(field: Field) -> int:
 def arc_band_frequency(action: Action, carriers: Carriers) -> Float:
     """Compute the frequency (n, Ka) [Hz] of each arc band, κ · |ds/dt|, by the fastest motion within two states.
 
-    Above BAND_END_HZ a band would alias, and a jump of the hand would need metres of cells.
+    Bands above BAND_END_HZ are silenced: they would alias, and a jump of the hand would draw metres of noise.
     """
     return np.asarray(find_peak_speed(action)[:, None] * carriers.arc_centres())
 
 
 def bridge_rest_gaps(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:
-    """Replace the amplitudes (n, K) of states that do not slide by linear interpolation between sliding neighbours.
+    """Replace the profile amplitudes (n, Ka) of resting states by interpolation between sliding neighbours.
 
-    At rest and before the touch the height under the hand is constant and must give nothing. Fading it in or out there
-    would lift the hand by the height itself within milliseconds, which would be a blow.
+    sliding: (n,). At rest and before the touch the height under the hand is constant and must give nothing. Fading it
+    in or out there would lift the hand by the height itself within milliseconds, which would be a blow.
     """
     rows = np.flatnonzero(sliding)
     if len(rows) == 0:

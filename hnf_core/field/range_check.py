@@ -1,8 +1,8 @@
 """Compare a stroke with the field's training ranges: a confidence and warnings in words; nothing is clamped.
 
-Each quantity has an excess: 0 inside its range, growing with the distance outside it (octaves of speed, force and
-stiffness, an eighth of a turn of direction, widths of the token's range). It multiplies the confidence by 1 / (1 +
-excess), so that the first octave outside halves it, the second makes it a third, and so on.
+Each quantity has an excess: 0 inside its range, growing with the distance outside it (in octaves of speed, force and
+stiffness, in eighths of a turn of direction, in widths of a token feature's range). It multiplies the confidence by 1 /
+(1 + excess), so that the first octave outside halves it, the second makes it a third, and so on.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _UNITS = {
 
 
 def check_ranges(field: Field, stroke: StrokeInput, action: Action) -> tuple[float, tuple[str, ...]]:
-    """Compare a stroke with everything that field.ranges has on record.
+    """Compare a stroke with the field's training ranges.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def check_ranges(field: Field, stroke: StrokeInput, action: Action) -> tuple[flo
     confidence : float
         0 … 1, exactly 1 inside every range.
     warnings : tuple of str
-        With values and units.
+        One per quantity outside its range, with values and units.
     """
     ranges = field.ranges
     if ranges is None:
@@ -102,9 +102,10 @@ def check_ranges(field: Field, stroke: StrokeInput, action: Action) -> tuple[flo
 
 
 def check_ceiling(config: FieldConfig, loudest: float) -> tuple[str, ...]:
-    """Return a warning if the field's output comes near LOG_AMPLITUDE_CEILING, or was limited by it.
+    """Return a warning if the field's log amplitude comes near LOG_AMPLITUDE_CEILING, the limit of its output.
 
-    loudest: its largest accumulated amplitude [m/s²], which the memory's weights may take below the ceiling.
+    loudest: largest amplitude after weighting over past states [m/s²], which may lie below the ceiling although the
+    output reached it.
     """
     ceiling = float(np.exp(LOG_AMPLITUDE_CEILING))
     if config.emission != "log" or loudest < CEILING_SHARE * ceiling:
@@ -114,7 +115,10 @@ def check_ceiling(config: FieldConfig, loudest: float) -> tuple[str, ...]:
 
 
 def _check_span(name: str, unit: str, scale: float, values: Float, limits: tuple[float, float]) -> Iterator[Remark]:
-    """Yield remarks on a quantity outside its range."""
+    """Yield (excess, remark) if values (n,) leave the training range `limits` (low, high).
+
+    name, unit, scale: of the quantity in the remark, where values are multiplied by scale.
+    """
     if len(values) == 0:
         return
     trained = f"trained on {_format_number(limits[0] * scale)}–{_format_number(limits[1] * scale)}{unit}"
@@ -127,7 +131,7 @@ def _check_span(name: str, unit: str, scale: float, values: Float, limits: tuple
 
 
 def _check_speed_force_pair(speed: Float, force: Float, ranges: TrainingRanges) -> Iterator[Remark]:
-    """Yield a remark if speed and force are each in range, but never occurred together in training."""
+    """Yield (excess, remark) if speed and force are each in range, but never occurred together in training."""
     if ranges.hull is None or len(speed) == 0:
         return
     box = np.log2(np.array([ranges.speed, ranges.force]))
@@ -165,7 +169,7 @@ def _check_direction(direction: Float, speed: Float, field: Field, tokens: NDArr
 
 
 def _check_token(tokens: NDArray[np.float32], ranges: TrainingRanges) -> Iterator[Remark]:
-    """Yield a remark on the token feature furthest outside training, in widths of its range."""
+    """Yield a remark on the feature of the material token furthest outside training, in widths of its range."""
     width = np.maximum(ranges.token_high - ranges.token_low, MIN_TOKEN_WIDTH)
     excess = np.maximum(ranges.token_low - tokens, tokens - ranges.token_high) / width
     excess = np.where(_informative_features(tokens), excess, 0.0)
@@ -186,7 +190,7 @@ def _check_token(tokens: NDArray[np.float32], ranges: TrainingRanges) -> Iterato
 
 
 def _check_mechanics(mechanics: list[Mechanics], ranges: TrainingRanges) -> Iterator[Remark]:
-    """Yield remarks on mechanical properties outside their range, or known or unknown unlike in training."""
+    """Yield remarks on stiffness, damping or friction outside its range, or known or unknown unlike in training."""
     for name, trained_range in (ranges.mechanics or {}).items():
         label, unit = _UNITS[name]
         values = [getattr(properties, name) for properties in mechanics]
@@ -213,7 +217,7 @@ def _check_probe(probe: str, ranges: TrainingRanges) -> Iterator[Remark]:
 
 
 def _find_path_quantile(excess: Float, speed: Float) -> int:
-    """Return the state such that larger excesses cover less than PATH_SHARE of the path."""
+    """Return the index of the state that represents the excess: larger ones cover less than PATH_SHARE of the path."""
     order = np.argsort(-excess, kind="stable")
     path = np.cumsum(speed[order])
     return int(order[np.searchsorted(path, PATH_SHARE * path[-1])])
@@ -230,7 +234,7 @@ def _octaves_between(above: float, below: float) -> float:
 
 
 def _measure_anisotropy(tokens: NDArray[np.float32]) -> float:
-    """Return the two-fold anisotropy (0 … 1) of the strongest band, of the material where it is largest."""
+    """Return the largest two-fold anisotropy (0 … 1) of any material, each judged by its strongest wavelength band."""
     band = np.argmax(tokens[:, LEVELS], axis=1)
     start = np.array([band_slice(int(index)).start for index in band])
     rows = np.arange(len(tokens))
@@ -238,9 +242,9 @@ def _measure_anisotropy(tokens: NDArray[np.float32]) -> float:
 
 
 def _informative_features(tokens: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return (M, TOKEN_DIM) which features count.
+    """Return (M, TOKEN_DIM) which features of M tokens count in the comparison.
 
-    Directions in a band 20 dB below the strongest are mostly leakage from neighbouring bands.
+    Direction features of a band 20 dB below the strongest are mostly leakage from neighbouring bands.
     """
     out = np.ones(tokens.shape, dtype=bool)
     levels = tokens[:, LEVELS]

@@ -1,11 +1,11 @@
-"""Render samples of the model rate from a stroke whose F_Θ is evaluated, in blocks or in chunks.
+"""Render the 10 kHz samples of a stroke whose field F_Θ is already evaluated, in blocks or in chunks.
 
 `render_block` computes any block alone. `render_chunks` renders a stroke of any length in the memory of a minute, by
-cutting it into chunks that overlap by their memory: a sample depends on the states around it through the contact's
-impulse response (TAIL_SAMPLES, LEAD_SAMPLES), F_Θ's past states and the fades at the ends of contact. Each chunk is
-prepared with that margin on either side and rendered without it. Carriers follow the clock and path of the whole
-stroke, so they continue across chunks. Chunks and margins are multiples of the states that are evaluated at once,
-because F_Θ's float32 products depend on that number.
+cutting it into overlapping chunks: a sample depends on the states around it through the contact's impulse response
+(TAIL_SAMPLES, LEAD_SAMPLES), F_Θ's past states and the fades at the ends of contact. Each chunk is prepared with that
+margin on either side and rendered without it. The noise carriers follow the clock and path of the whole stroke, so they
+continue across chunks. Chunks and margins are multiples of the states that are evaluated at once, because F_Θ's float32
+products depend on that number.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ MIN_THREADED_SAMPLES = 4 * BLOCK_SAMPLES
 
 
 def render_samples(prepared: PreparedStroke, start: int = 0, stop: int | None = None) -> Float:
-    """Render samples start … stop − 1, (stop − start,) [m/s²].
+    """Render samples start … stop − 1 of a stroke, (stop − start,) [m/s²].
 
     Parameters
     ----------
@@ -97,9 +97,9 @@ def render_block(prepared: PreparedStroke, start: int, count: int) -> Float:
 
 
 def render_carriers(prepared: PreparedStroke, start: int, count: int) -> Float:
-    """Render the modulated carriers, (count,) [m/s²].
+    """Render the noise carriers modulated by the field, (count,) [m/s²].
 
-    They are 0 at rest and out of contact, except for the field's 40 ms memory.
+    They are 0 at rest and out of contact, except where the field still weights past states (40 ms).
     """
     carriers, seed, action, origin = prepared.carriers, prepared.seed, prepared.action, prepared.origin
     if prepared.amplitude.shape[1] > 1 or carriers.constant:
@@ -117,9 +117,9 @@ def render_carriers(prepared: PreparedStroke, start: int, count: int) -> Float:
 
 
 def render_contact(prepared: PreparedStroke, start: int, count: int) -> Float:
-    """Render the contact term, (count,) [m/s²]: the pressing force, also at v = 0, and the profile under the path.
+    """Render the contact's response, (count,) [m/s²], to the pressing force, also at rest, and to the measured relief.
 
-    The force term holds onset, release and dF/dt.
+    The response to the force is what is felt of touch, release and changing pressure.
     """
     samples = prepared.bank.render_force(prepared.force, start, count)
     for begin, length in split_blocks(count):
@@ -152,7 +152,7 @@ class RenderedChunk:
     """Samples of one chunk.
 
     samples: (m,) float64 [m/s²] at the model rate, following those of the chunk before. loudest: the field's largest
-    amplitude in it [m/s²]. residual_power: see PreparedStroke.
+    amplitude in it [m/s²]. residual_power: error power of adaptive evaluation over the power of the chunk.
     """
 
     samples: Float
@@ -179,12 +179,14 @@ def render_chunks(
     begin
         First sample, a multiple of CHUNK_STEP; earlier ones are not computed.
     tolerance
-        As of prepare_stroke, relative to the power of each chunk. Where a chunk begins, amplitudes may step by as much.
+        Largest RMS error due to interpolated amplitudes, relative to the RMS of each chunk; None for exact evaluation.
+        Where a chunk begins, amplitudes may step by as much.
 
     Yields
     ------
     RenderedChunk
-        Together within 1e-6 RMS of `synthesise`: positions are relative to another origin and rounded to float32.
+        Chunks in order; together they equal the result of `synthesise` within 1e-6 RMS, since positions are relative to
+        another origin and rounded to float32.
 
     Raises
     ------
@@ -213,7 +215,7 @@ def render_chunks(
 
 
 def _find_chunk_states(field: Field, start: int, stop: int, states: int) -> slice:
-    """Return the states that samples start … stop − 1 depend on."""
+    """Return the rows of the 200 Hz states that 10 kHz samples start … stop − 1 depend on."""
     before = max(
         math.ceil(TAIL_SAMPLES / SAMPLES_PER_STATE),
         count_memory_states(field),

@@ -18,7 +18,7 @@ STEP_S = 1e-4
 
 
 def render_weights(sigma_dt: ArrayLike) -> NDArray[Any]:
-    """Compute the weights w_n = exp(−Σ_{j<n} σ_jΔt) · (1 − exp(−σ_nΔt)).
+    """Compute the weights of N states from densities, w_n = exp(−Σ_{j<n} σ_jΔt) · (1 − exp(−σ_nΔt)), as NeRF does.
 
     Parameters
     ----------
@@ -49,14 +49,14 @@ def render_weights(sigma_dt: ArrayLike) -> NDArray[Any]:
 
 
 def render(sigma_dt: ArrayLike, emission: ArrayLike) -> NDArray[Any]:
-    """Compute â = Σ_n w_n α_n.
+    """Weight the outputs α of N states by their densities: â = Σ_n w_n α_n.
 
     Parameters
     ----------
     sigma_dt
-        (..., N) as of render_weights.
+        (..., N) densities times step, each in [0, ∞]; the nearest state first.
     emission
-        (..., N) or (..., N, K), finite.
+        (..., N) or (..., N, K) α of each state, finite.
 
     Returns
     -------
@@ -80,8 +80,8 @@ def render(sigma_dt: ArrayLike, emission: ArrayLike) -> NDArray[Any]:
 def prefix_sums(values: NDArray[Any]) -> NDArray[Any]:
     """Compute Σ_{j≤n} of (..., N), in ⌈log2 N⌉ rounds of pairs (Hillis & Steele 1986, CACM 29).
 
-    A running sum rounds N times, always in the same direction if the terms are equal: at N = 4096 that cost 300 times
-    more of the transmittance's digits. Sums beyond the type are infinite.
+    A running sum rounds N times, always in the same direction if the terms are equal: at N = 4096 the transmittance
+    exp(−Σ) had 300 times the error. Sums beyond the type are infinite.
     """
     step = 1
     with np.errstate(over="ignore"):
@@ -92,7 +92,7 @@ def prefix_sums(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _weights(density: NDArray[Any]) -> NDArray[Any]:
-    """Compute the weights in the type of `density`."""
+    """Compute the weights w_n of densities σΔt (..., N), in their float type."""
     # Transmittance stays a sum of logarithms until the end: a running product would lose small densities to 1 − ε.
     before = np.zeros_like(density)
     before[..., 1:] = prefix_sums(density[..., :-1])
@@ -100,8 +100,8 @@ def _weights(density: NDArray[Any]) -> NDArray[Any]:
 
 
 def _wide(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    """Return the type in which another one is accumulated.
+    """Return the float type in which sums of another one are accumulated.
 
-    exp(−S) multiplies the error of S, so float32 would lose digits in float32.
+    In exp(−S) an absolute error of the sum S is a relative one, so float32 would lose digits in float32.
     """
     return np.dtype(np.float32) if dtype.itemsize == 2 else np.promote_types(dtype, np.float64)

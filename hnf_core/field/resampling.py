@@ -41,12 +41,12 @@ def check_rates(rate_in: float, rate_out: float) -> None:
 
 
 def count_outputs(samples: int, rate_in: float, rate_out: float) -> int:
-    """Return the number of samples that `resample` gives for this many."""
+    """Return the number of output samples of `resample` for `samples` inputs at these rates [Hz]."""
     return samples if rate_in == rate_out else round(samples * rate_out / rate_in)
 
 
 def rate_warnings(rate_out: float) -> tuple[str, ...]:
-    """Return a warning if the rate cannot represent the tactile band."""
+    """Return a warning if an output rate [Hz] is too low to represent the tactile band; () if not."""
     if rate_out >= 2200.0:
         return ()
     return (f"{rate_out:g} Hz cannot hold frequencies above {rate_out / 2:g} Hz; touch reaches to 1000 Hz.",)
@@ -68,7 +68,7 @@ def resample(samples: Float, rate_in: float, rate_out: float) -> tuple[Float, tu
         (count_outputs,), in time with the input; amplitudes are exact within 0.01 dB below 0.9 of the lower Nyquist
         frequency.
     warnings : tuple of str
-        As of rate_warnings.
+        One if the rate is too low for the tactile band.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def resample(samples: Float, rate_in: float, rate_out: float) -> tuple[Float, tu
 def resample_stream(blocks: Iterable[Float], total: int, rate_in: float, rate_out: float) -> Iterator[Float]:
     """Convert a signal that arrives in blocks; the result is that of `resample`, to the last bit.
 
-    Memory holds one block and MAX_BLOCK_OUTPUTS.
+    Memory holds one input block and at most MAX_BLOCK_OUTPUTS output samples.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def resample_stream(blocks: Iterable[Float], total: int, rate_in: float, rate_ou
     Raises
     ------
     UsageError
-        As of `resample`.
+        If rate_out is not between 1 Hz and 10 MHz, or is more than 200 000 times rate_in.
     """
     check_rates(rate_in, rate_out)
     if rate_out == rate_in:
@@ -118,7 +118,7 @@ def resample_stream(blocks: Iterable[Float], total: int, rate_in: float, rate_ou
 
 
 def _convert_blocks(stream: ResampleStream, blocks: Iterable[Float], max_inputs: int) -> Iterator[Float]:
-    """Yield the outputs of a stream for blocks that are cut to max_inputs samples."""
+    """Feed blocks to a soxr stream, at most max_inputs samples at a time, and yield its outputs."""
     for block in blocks:
         for start in range(0, len(block), max_inputs):
             part = np.ascontiguousarray(block[start : start + max_inputs], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Input and output of synthesis, and the action on the field's clocks: states at 200 Hz and samples at 10 kHz.
+"""Input and output of synthesis, and a stroke's action resampled to the field's states (200 Hz) and samples (10 kHz).
 
 `StrokeInput` holds the action and the materials, and is checked against LIMITS; `Synthesis` is the result. The other
 functions resample the action to the states, build F_Θ's conditions, and interpolate position and force between states.
@@ -48,7 +48,7 @@ _REMEDY = (
 
 @dataclass(frozen=True)
 class HeightProfile:
-    """Surface height under the path, along Action.position.
+    """Measured surface height under the path of a stroke, on an even grid of Action.position.
 
     Attributes
     ----------
@@ -59,7 +59,8 @@ class HeightProfile:
     height
         (k,) float64 [m].
     resolved_wavelength_m
-        Shorter waves are an artefact of the source (two texels), and are left to the carriers.
+        Two texels of the source: shorter waves in it are an artefact, and are synthesised by the noise carriers
+        instead.
     """
 
     step_m: float
@@ -75,17 +76,17 @@ class StrokeInput:
     Attributes
     ----------
     action
-        u(t), n samples at any rate.
+        Motion and force of the hand u(t), n samples at any rate.
     tokens
-        (M, TOKEN_DIM) of the materials.
+        (M, TOKEN_DIM) descriptors of the M materials touched.
     mechanics
-        (M,) of the same materials.
+        (M,) stiffness, damping and friction of the same materials.
     token_index
         (n,) int32, material at each action sample.
     profile
-        Height under the path, or None if none is resolved.
+        Height of the surface under the path, or None if none is resolved.
     fields
-        (M,) field of each material alone, None for the common field; () if no material has one. Only
+        (M,) field trained on that material alone, None for the shared field; () if no material has its own. Only
         synthesis.split_by_field reads it.
 
     Raises
@@ -125,11 +126,11 @@ def uniform_stroke(action: Action, token: NDArray[np.float32], mechanics: Mechan
     Parameters
     ----------
     action
-        u(t), n samples.
+        Motion and force of the hand u(t), n samples.
     token
-        (TOKEN_DIM,) of the material.
+        (TOKEN_DIM,) descriptor of the material.
     mechanics
-        Of the same material.
+        Its stiffness, damping and friction.
 
     Returns
     -------
@@ -170,7 +171,7 @@ def _find_problem(stroke: StrokeInput) -> str:
 
 
 def _bounded_values(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield all values that LIMITS bound, by their names there, without unknown mechanics."""
+    """Yield (name, values) of every quantity that LIMITS bounds, without unknown mechanics."""
     action, profile = stroke.action, stroke.profile
     yield "action rate [Hz]", np.array([action.rate])
     yield "speed [m/s]", action.speed
@@ -201,7 +202,7 @@ STATE_FRACTIONS = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
 
 
 def resample_action(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
-    """Resample action and token index to ACTION_RATE_HZ.
+    """Resample a stroke's action, and the index of the material touched, to ACTION_RATE_HZ.
 
     Direction is interpolated as a vector, because an angle would turn the long way round at ±180°; contact and material
     are those of the nearest sample.
@@ -216,7 +217,7 @@ def resample_action(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
     action : Action
         At ACTION_RATE_HZ.
     token_index : ndarray
-        (n,) int32 at its states.
+        (n,) int32 index of the material at each state.
 
     Raises
     ------
@@ -248,7 +249,10 @@ def resample_action(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
 
 
 def build_condition(stroke: StrokeInput, action: Action, token_index: NDArray[np.int32]) -> Condition:
-    """Build F_Θ's condition at every state of a resampled action."""
+    """Build the input of F_Θ at every state of a stroke.
+
+    action, token_index: from resample_action.
+    """
     tokens, (mechanics, row_index) = (
         stroke.tokens.astype(np.float64)[token_index],
         find_distinct_mechanics(stroke.mechanics),
@@ -278,9 +282,10 @@ def find_distinct_mechanics(mechanics: Sequence[Mechanics]) -> tuple[tuple[Mecha
 def interpolate_condition(
     stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], sample: NDArray[np.int64]
 ) -> Condition:
-    """Build F_Θ's condition at samples of the model rate, clamped to the stroke.
+    """Build the input of F_Θ at any 10 kHz samples of a stroke; samples beyond its ends are clamped to it.
 
-    Linear between states, direction as a vector, contact and material of the nearest state. action: at ACTION_RATE_HZ.
+    Linear between states, direction as a vector, contact and material of the nearest state. action, token_index: from
+    resample_action.
     """
     position = np.clip(sample / SAMPLES_PER_STATE, 0, len(action.speed) - 1)
     states, nearest = np.arange(len(action.speed)), np.rint(position).astype(np.int64)
@@ -297,12 +302,12 @@ def interpolate_condition(
 
 
 def sample_count(action: Action) -> int:
-    """Return the number of samples of an action at the model rate."""
+    """Return the number of 10 kHz samples that an action at ACTION_RATE_HZ lasts."""
     return (len(action.speed) - 1) * SAMPLES_PER_STATE
 
 
 def find_peak_speed(action: Action) -> Float:
-    """Return the largest |ds/dt| (n,) [m/s] within two states of each."""
+    """Return the largest speed |ds/dt| (n,) [m/s] along the path within two states of each of n states."""
     padded = np.pad(np.abs(np.diff(action.position)) * ACTION_RATE_HZ, 2)
     return np.asarray(np.max([padded[shift : shift + len(action.position)] for shift in range(4)], axis=0))
 
@@ -323,8 +328,8 @@ def interpolate_cubic(values: Float, index: Float) -> Float:
 def evaluate_bspline(values: Float, index: Float) -> Float:
     """Evaluate the cubic B-spline with control points values (n,) at fractional indices (C2), constant beyond the ends.
 
-    It smooths (−3 dB at about 60 Hz of 200 Hz samples) instead of interpolating: the images of a slow ramp lie 80 dB
-    down, so that steps at the action rate do not hum through a contact that responds to F″.
+    It smooths 200 Hz samples (−3 dB at about 60 Hz) instead of interpolating: aliases of a slow force ramp at multiples
+    of 200 Hz lie 80 dB down and do not hum in a contact that responds to F″.
     """
     last = len(values) - 1
     low = np.floor(index).astype(int)
@@ -333,7 +338,7 @@ def evaluate_bspline(values: Float, index: Float) -> Float:
 
 
 def interpolate_cubic_samples(values: Float, start: int, count: int) -> Float:
-    """Interpolate states (n,) as interpolate_cubic, at samples start … start + count − 1 of the model rate, (count,).
+    """Interpolate values (n,) at 200 Hz states by Catmull–Rom splines at 10 kHz samples from `start` on, (count,).
 
     Samples lie at the same fractions between any two states, so one table of weights serves all.
     """
@@ -374,14 +379,14 @@ _CATMULL_ROM_TABLE = _catmull_rom_weights(STATE_FRACTIONS)
 
 
 def interpolate_position(action: Action, start: int, count: int) -> Float:
-    """Interpolate s(t) [m] at samples start … of the model rate, constant beyond the stroke."""
+    """Interpolate the path position s(t) [m] at `count` 10 kHz samples from `start` on, constant beyond the stroke."""
     return interpolate_cubic_samples(action.position, start, count)
 
 
 def extrapolate_position(action: Action, start: int, count: int) -> Float:
-    """Interpolate s(t) [m] at samples start … of the model rate, continued at its first and last speed.
+    """Interpolate the path position s(t) [m] as interpolate_position, continued at its first and last speed.
 
-    Filters read beyond the stroke's ends, where a position that stands still would differ from the motion.
+    Filters read samples beyond the stroke's ends, where a sudden stop would be a blow that the stroke does not have.
     """
     kernel = load_kernel()
     if kernel is not None:

@@ -1,4 +1,4 @@
-"""Height spectrum of a surface, from its token, and its projection onto a straight stroke.
+"""Height spectrum of a surface, decoded from its material token, and its projection onto a straight stroke.
 
 A stroke is a line through the height spectrum P(κ, θ). A wave at angle δ to the stroke has the wavenumber κ |cos δ|
 along it, so the projected spectrum is the sum over δ of radial spectra shifted along the log-κ axis. The tip filters
@@ -34,22 +34,22 @@ ORIENTED_DENSITY_MEAN = np.mean(np.exp(LINE_CONCENTRATION * (np.cos(2.0 * GRID_A
 
 @dataclass(frozen=True)
 class SurfaceSpectrum:
-    """Spectra of tokens in the frame of a stroke, n rows.
+    """Height spectra of n surfaces, at angles δ to the stroke over each; `bands` are the token's octave bands.
 
     Attributes
     ----------
     noise
-        (n, Ka) height power per band of |κ| [m²].
+        (n, Ka) height power of noise per arc band (a band of wavenumber |κ|) [m²].
     density
         (ANGLES, n, bands) angular density over δ, mean 1.
     band
         (Ka,) token band nearest to each κ.
     line_power
-        (2, n, bands) power of the tones along and across the lattice's axis [m²].
+        (2, n, bands) power of the tones of a regular surface (weave, grating), along and across its axis [m²].
     line_wavenumber
-        (n, bands) [cycles/m].
+        (n, bands) wavenumber of the tones [cycles/m].
     line_cosine
-        (2, n, bands) |cos δ|.
+        (2, n, bands) |cos δ| of the angle δ between the tone's wave and the stroke.
     """
 
     noise: Float
@@ -63,7 +63,7 @@ class SurfaceSpectrum:
 def compute_surface_spectrum(
     tokens: NDArray[np.float32] | Float, direction: Float, carriers: Carriers
 ) -> SurfaceSpectrum:
-    """Compute the spectra of tokens (n, TOKEN_DIM) in the frame of unit vectors (n, 2)."""
+    """Compute the height spectra of tokens (n, TOKEN_DIM) in the frame of stroke directions (n, 2), unit vectors."""
     bands = len(BAND_WAVELENGTHS_M)
     values = np.asarray(tokens, dtype=np.float64)[:, : bands * len(BAND_FEATURES)]
     feature = dict(zip(BAND_FEATURES, np.moveaxis(values.reshape(-1, bands, len(BAND_FEATURES)), 2, 0), strict=True))
@@ -90,7 +90,7 @@ def compute_surface_spectrum(
 
 
 def noise_remainder(tones: Float) -> Float:
-    """Return the fraction (n, bands) of a band's power that its two tones (2, n, bands) leave for noise.
+    """Return the fraction (n, bands) of a band's power left for noise by its two tones' fractions (2, n, bands).
 
     It is 0 below MIN_NOISE_SHARE, where only rounding is left.
     """
@@ -99,9 +99,9 @@ def noise_remainder(tones: Float) -> Float:
 
 
 def project_spectrum(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) -> Float:
-    """Compute the power per arc band (n, Ka) of a straight cut through the surface, filtered by weight (n, Ka).
+    """Compute the power (n, Ka) per wavenumber along a straight cut through a surface, with waves weighted (n, Ka).
 
-    The weight applies at the wave's own |κ|.
+    weight: (n, Ka) factor on the power of waves of wavenumber |κ|, before the projection.
     """
     total = project_noise(spectrum, weight, carriers)
     power, low = project_lines(spectrum, weight, carriers)
@@ -111,7 +111,7 @@ def project_spectrum(spectrum: SurfaceSpectrum, weight: Float, carriers: Carrier
 
 
 def project_noise(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) -> Float:
-    """Compute the noise part of project_spectrum: weight (..., n, Ka) → (..., n, Ka)."""
+    """Compute the noise power (..., n, Ka) per wavenumber along a straight cut through a surface, without its tones."""
     # Wavenumbers come first, so that those beyond a shift are contiguous.
     weighted = np.ascontiguousarray(np.moveaxis(spectrum.noise * weight, -1, -2))
     out, shifted, count = np.zeros_like(weighted), np.empty_like(weighted), weighted.shape[-2]
@@ -127,15 +127,15 @@ def project_noise(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) 
 
 @lru_cache(maxsize=1)
 def _projection_shifts() -> NDArray[np.intp]:
-    """Return the number of bands (ANGLES / 2,) by which the projection lowers a wave at each angle."""
+    """Return by how many arc bands (ANGLES / 2,) a wave at each angle to the stroke is lower along the stroke."""
     return np.asarray(np.rint(-ARC_PER_OCTAVE * np.log2(np.cos(GRID_ANGLES[: ANGLES // 2]))), dtype=np.intp)
 
 
 @lru_cache(maxsize=8)
 def build_kernel_tables(carriers: Carriers, hand: float, hand_damping: float) -> ContactTables:
-    """Build the tables of compiled_field.compute_linear_contact.
+    """Build the constants that compiled_field.compute_linear_contact needs.
 
-    hand: stiffness of the hand over mass, sideways [rad²/s²]. hand_damping: 4 ζ² times that.
+    hand: sideways stiffness of the hand over the probe's mass [rad²/s²]. hand_damping: 4 ζ² times that.
     """
     position, bands = np.log2(carriers.arc_centres() * BAND_WAVELENGTHS_M[0]), len(BAND_WAVELENGTHS_M)
     below, angle = np.clip(np.floor(position).astype(int), 0, bands - 2), GRID_ANGLES[: ANGLES // 2]
@@ -150,29 +150,29 @@ def build_kernel_tables(carriers: Carriers, hand: float, hand_damping: float) ->
 
 
 def _nearest_band(position: Float) -> NDArray[np.intp]:
-    """Return the token band nearest to each position."""
+    """Return the index of the token's octave band nearest to each position, a fractional band index."""
     return np.clip(np.rint(position).astype(np.intp), 0, len(BAND_WAVELENGTHS_M) - 1)
 
 
 def project_lines(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) -> tuple[Float, NDArray[np.intp]]:
-    """Compute the tones of project_spectrum.
+    """Compute the power and place of the tones along a straight cut through a surface, without its noise.
 
     Parameters
     ----------
     spectrum
         Spectra of n rows.
     weight
-        (..., n, Ka) filter at |κ|.
+        (..., n, Ka) factor on the power of waves of wavenumber |κ|.
     carriers
         Carriers, whose arc bands are used.
 
     Returns
     -------
     power : ndarray
-        (2, ..., n, 2 · bands) power in the two arc bands about each tone, with the exact centroid; first the tones
-        along the lattice's axis.
+        (2, ..., n, 2 · bands) power in the two arc bands about each tone, split so that their centroid is the tone;
+        first the tones along the surface's axis.
     low : ndarray
-        (n, 2 · bands) index of the lower band, which may lie outside.
+        (n, 2 · bands) index of the lower of the two bands, which may lie outside 0 … Ka − 1.
     """
     start, count = carriers.arc_centres()[0], carriers.arc_count
     band = np.clip(np.rint(ARC_PER_OCTAVE * np.log2(spectrum.line_wavenumber / start)).astype(int), 0, count - 1)
@@ -186,14 +186,14 @@ def project_lines(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) 
 
 
 def add_at(out: Float, index: NDArray[np.intp], power: Float) -> None:
-    """Add power (n, m) to out (n, Ka) at index (n, m), where the index is inside."""
+    """Add power (n, m) to out (n, Ka) in the columns index (n, m), in place; columns outside are ignored."""
     rows = np.broadcast_to(np.arange(len(out))[:, None], index.shape)
     inside = (index >= 0) & (index < out.shape[1])
     np.add.at(out, (rows[inside], index[inside]), power[inside])
 
 
 def _spread_over_wavenumbers(power: Float, position: Float) -> Float:
-    """Spread octave-band powers (n, bands) over |κ| (n, Ka), linearly between band centres on log–log axes."""
+    """Spread octave-band powers (n, bands) over arc bands (n, Ka), linearly between band centres on log–log axes."""
     level = np.log(np.maximum(power, 1e-30) / ARC_PER_OCTAVE)
     below = np.clip(np.floor(position).astype(int), 0, len(BAND_WAVELENGTHS_M) - 2)
     fraction = np.clip(position - below, 0.0, 1.0)
@@ -201,9 +201,10 @@ def _spread_over_wavenumbers(power: Float, position: Float) -> Float:
 
 
 def _angular_density(two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float) -> Float:
-    """Compute the angular density (ANGLES, n, bands), positive, mean about 1.
+    """Compute the distribution (ANGLES, n, bands) of a band's power over wave angles, positive, mean about 1.
 
-    A truncated series, blended with oriented lines where the four-fold moment is large.
+    A truncated Fourier series of the two- and four-fold moments, blended with narrow peaks along the axis and across
+    where the four-fold moment is large.
     """
     oriented = np.square(np.clip(np.abs(four), 0.0, 1.0))
     angle = GRID_ANGLES[:, None, None]
@@ -215,10 +216,10 @@ def _angular_density(two: NDArray[np.complex128], four: NDArray[np.complex128], 
 
 
 def _rotate_moment(moment: NDArray[np.complex128], angle: Float) -> Float:
-    """Return Re(moment · e^{−i angle})."""
+    """Return Re(moment · e^{−i angle}) of complex direction moments."""
     return np.asarray(moment.real * np.cos(angle) + moment.imag * np.sin(angle))
 
 
 def _oriented_density(facing: Float) -> Float:
-    """Return the angular density of oriented waves, mean 1 over ANGLES samples, by cos 2δ of the angle δ to them."""
+    """Return a peaked angular density with mean 1, from facing = cos 2δ of the angle δ to the peak."""
     return np.asarray(np.exp(LINE_CONCENTRATION * (facing - 1.0)) / ORIENTED_DENSITY_MEAN)

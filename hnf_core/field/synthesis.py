@@ -52,11 +52,11 @@ def synthesise(
     stroke
         The stroke; values outside the training ranges are synthesised as they are, and named in the warnings.
     seed
-        Seed of the carriers.
+        Seed of the carriers' noise.
     sample_rate
-        Of the output [Hz].
+        Sample rate of the output [Hz].
     tolerance
-        Largest error of the amplitudes, see prepare.prepare_stroke; None for exact evaluation.
+        Largest RMS error due to interpolated amplitudes, relative to the RMS of the stroke; None for exact evaluation.
 
     Returns
     -------
@@ -75,7 +75,11 @@ def synthesise(
 
 
 def tolerance_warning(residual_power: float, tolerance: float | None) -> tuple[str, ...]:
-    """Return a warning if the residual power exceeds the tolerance. residual_power: see PreparedStroke."""
+    """Return a warning if adaptive evaluation did not reach its tolerance; () otherwise.
+
+    residual_power: error power over the signal's power. tolerance: largest RMS error over RMS, None if evaluation is
+    exact.
+    """
     if tolerance is None or residual_power <= tolerance**2 * (1.0 + 1e-9):
         return ()
     return (
@@ -101,7 +105,10 @@ def make_result(
     sample_rate: float = MODEL_RATE_HZ,
     tolerance: float | None = None,
 ) -> Synthesis:
-    """Build the result of rendered samples (count,), with confidence and warnings, one if `tolerance` is exceeded."""
+    """Build the result from samples (count,) at 10 kHz, with confidence and warnings.
+
+    tolerance: of adaptive evaluation; a warning is added if it was exceeded.
+    """
     output, rate_warnings = resample(samples, MODEL_RATE_HZ, sample_rate)
     confidence, warnings = check_ranges(field, stroke, prepared.action)
     warnings += check_ceiling(field.config, float(prepared.loudest.max(initial=0.0)))
@@ -115,9 +122,9 @@ def make_result(
 
 @dataclass(frozen=True)
 class FieldStroke:
-    """Stroke of one field.
+    """Stroke as one of several fields synthesises it.
 
-    mask: (n,) 1 at action samples on the field's materials, else 0; None if that is everywhere.
+    mask: (n,) 1 at action samples on materials that use the field, else 0; None if that is everywhere.
     """
 
     field: Field
@@ -191,7 +198,10 @@ def _find_distinct_fields(fields: Sequence[Field | None]) -> tuple[list[Field], 
 
 
 def _restore_training_inputs(field: Field, stroke: StrokeInput, rows: NDArray[np.bool_]) -> StrokeInput:
-    """Return the stroke with the token and mechanics that the field was trained with, on the given materials."""
+    """Return the stroke with the token and mechanics that the field was trained with, on some materials.
+
+    rows: (M,) True for those materials.
+    """
     material = read_trained_material(field, "the field of a material")
     tokens = np.where(rows[:, None], material.token, stroke.tokens).astype(np.float32)
     mechanics = tuple(
@@ -212,8 +222,8 @@ class Superseded(Exception):  # Not named an error, because a newer request is n
 class RenderedStroke:
     """Synthesised stroke that a later rendering can start from.
 
-    samples: (count,) float64 [m/s²] at the model rate. rendered_count: samples that were rendered for it; the others
-    were reused.
+    samples: (count,) float64 [m/s²] at the model rate. rendered_count: samples that were rendered anew for it; the
+    others were copied from an earlier rendering.
     """
 
     field: Field
@@ -279,7 +289,7 @@ def is_same_path(earlier: RenderedStroke, field: Field, stroke: StrokeInput, see
 
 
 def find_changed_blocks(old: PreparedStroke, new: PreparedStroke) -> list[tuple[int, int]]:
-    """Return (start, length) of the blocks in which a sample may differ; both strokes have the same path."""
+    """Return (start, length) [samples] of the blocks in which two strokes with the same path may differ."""
     states = len(new.force)
     texture = _rows_differ(old.amplitude, new.amplitude)
     pressing = old.force != new.force

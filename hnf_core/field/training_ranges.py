@@ -53,15 +53,15 @@ class TrainingRanges:
     speed, force
         (low, high) [m/s] and [N], above the floors of the field's input.
     token_low, token_high
-        (TOKEN_DIM,).
+        (TOKEN_DIM,) smallest and largest value of each feature of the material tokens.
     hull
         (k, 2) [m/s, N] corners of the convex hull, in log speed and log force, of the visited pairs; anticlockwise.
     sectors
         SECTORS flags, True where that direction was trained; () if no directions were recorded.
     mechanics
-        By field name of Mechanics.
+        Range of each property, by its name in Mechanics.
     probes
-        Names.
+        Names of the probes.
     """
 
     speed: tuple[float, float]
@@ -92,7 +92,7 @@ def compute_training_ranges(
     tokens
         (M, TOKEN_DIM) of all materials.
     mechanics
-        Mechanics given with them.
+        Stiffness, damping and friction given with them.
     probes
         Names; None for those of the actions.
     directed
@@ -160,7 +160,7 @@ def compute_convex_hull(points: Float) -> Float:
 
 
 def find_nearest_in_hull(hull: Float, points: Float) -> Float:
-    """Find the point of a convex hull (k, 2) nearest to each of points (n, 2); a point inside is its own nearest."""
+    """Find the point (n, 2) of a convex hull (k, 2) nearest to each of points (n, 2); one inside is its own nearest."""
     batches = [
         _find_nearest_in_hull(hull, points[first : first + _BATCH_STATES])
         for first in range(0, len(points), _BATCH_STATES)
@@ -193,20 +193,20 @@ def compute_angle_to_sectors(sectors: Sequence[bool], angle: Float) -> tuple[Flo
 
 
 def _angle_to_nearest(trained: NDArray[np.intp], angle: Float) -> tuple[Float, NDArray[np.intp]]:
-    """Compute distance and index of the nearest sector for one batch of angles."""
+    """Compute angle [rad] to, and index of, the nearest of the sectors `trained` for one batch of angles [rad]."""
     distance = np.abs((angle[:, None] - trained * SECTOR_RAD + np.pi) % (2.0 * np.pi) - np.pi)
     return np.maximum(distance.min(axis=1) - SECTOR_RAD / 2.0, 0.0), trained[np.argmin(distance, axis=1)]
 
 
 def _find_sectors(direction: Float) -> tuple[bool, ...]:
-    """Return for each sector whether directions (n, 2) cover it."""
+    """Return for each sector of the circle whether any of the directions (n, 2) lies in it."""
     angle = np.arctan2(direction[:, 1], direction[:, 0])
     counts = np.bincount(np.rint(angle / SECTOR_RAD).astype(int) % SECTORS, minlength=SECTORS)
     return tuple(bool(count > 0 and count >= OUTLIER_SHARE * len(angle)) for count in counts)
 
 
 def _summarise_property(values: Sequence[float | None], withheld: bool) -> PropertyRange:
-    """Return the range of a property's values."""
+    """Return the range of a mechanical property's values, None for unknown; withheld: training also hid known ones."""
     known = [float(value) for value in values if value is not None]
     return PropertyRange((min(known), max(known)) if known else None, withheld or len(known) < len(values))
 
@@ -217,5 +217,5 @@ def _cross(a: Float, b: Float, c: Float) -> float:
 
 
 def _unusable_error(what: str) -> StrokeError:
-    """Return the error for unusable training data."""
+    """Return the error that training data are unusable because of `what`."""
     return StrokeError(what, where="training ranges", remedy="Give the data that the field was trained on.")

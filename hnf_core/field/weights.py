@@ -1,4 +1,4 @@
-"""Field weights on disk, as safetensors with JSON metadata that is validated on reading.
+"""Weights of fields F_Θ on disk, as safetensors with JSON metadata that is validated on reading.
 
 Covers the shipped weights, files of the user, and the field of a single material, which is stored inside its `.hnf`
 file.
@@ -83,7 +83,10 @@ def serialise_field(field: Field) -> bytes:
 
 
 def read_encoders(metadata: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the encoders whose tokens a field was trained on, from metadata["encoder"]: a JSON list, or one name."""
+    """Return the encoders (image to material token) whose tokens a field was trained on.
+
+    They are in metadata["encoder"]: a JSON list, or one name.
+    """
     text = metadata.get("encoder", "")
     try:
         listed = json.loads(text)
@@ -136,7 +139,7 @@ def parse_field(data: bytes, where: str) -> Field:
 
 
 def load_field_for_encoders(encoders: Iterable[str]) -> Field:
-    """Return the shipped field for tokens of these encoders.
+    """Return the shipped field that can be used on material tokens from these encoders.
 
     The default field if it was trained on all of them, else the one that was trained on every encoder.
 
@@ -200,7 +203,7 @@ def read_trained_material(field: Field, where: str) -> LibraryMaterial:
 
 @lru_cache(maxsize=1)
 def _load(path: Path) -> Field:
-    """Read weights, once per path."""
+    """Read a field from a file, once per path."""
     return _read_field(path)
 
 
@@ -223,7 +226,7 @@ def _build_field(file: WeightsFile) -> Field:
 
 
 def _parse_config(record: Mapping[str, Any]) -> FieldConfig:
-    """Build the architecture of a metadata record. Raises TypeError or ValueError if it is not valid."""
+    """Build a field's architecture from its JSON record. Raises TypeError or ValueError if that is not valid."""
     carriers = dict(record["carriers"])
     carriers["time_edges_hz"] = tuple(float(edge) for edge in carriers["time_edges_hz"])
     # Types are checked first, because the constructors would fail with Python's own messages.
@@ -255,7 +258,7 @@ _NUMBERS: dict[str, type | tuple[type, ...]] = {"int": int, "float": (int, float
 
 
 def _check_types(made: type[FieldConfig | Carriers], record: Mapping[str, Any]) -> None:
-    """Raise TypeError if a number of the record has another type than the field of the dataclass."""
+    """Raise TypeError if a number in a JSON record has another type than that attribute of the dataclass `made`."""
     type_names = {item.name: str(item.type) for item in dataclasses.fields(made)}
     for name, value in record.items():
         type_name = type_names.get(name, "")
@@ -281,7 +284,7 @@ def _check_carriers(carriers: Carriers) -> None:
 
 
 def _serialise_ranges(ranges: TrainingRanges) -> dict[str, Any]:
-    """Return the ranges as JSON values, without the token's."""
+    """Return training ranges as JSON values, without the token's, which are stored as tensors."""
     record: dict[str, Any] = {"speed_m_s": ranges.speed, "force_n": ranges.force}
     if ranges.hull is not None:
         record["hull_m_s_n"] = ranges.hull.tolist()
@@ -326,7 +329,7 @@ def _parse_ranges(metadata: Mapping[str, str], tensors: Mapping[str, NDArray[np.
 
 
 def _parse_hull(record: Any) -> NDArray[np.float64]:
-    """Return the hull (k, 2) of speeds and forces. Raises ValueError if it is not valid."""
+    """Return the convex hull (k, 2) of trained (speed, force) pairs. Raises ValueError if it is not valid."""
     hull = np.asarray(record, dtype=np.float64)
     if hull.ndim != 2 or hull.shape[0] < 1 or hull.shape[1] != 2 or not (np.isfinite(hull) & (hull > 0.0)).all():
         raise ValueError("the region of speeds and forces is not a polygon of positive numbers")
@@ -334,14 +337,14 @@ def _parse_hull(record: Any) -> NDArray[np.float64]:
 
 
 def _parse_property_range(record: Mapping[str, Any]) -> PropertyRange:
-    """Return the range of a mechanical property."""
+    """Return the trained range of a mechanical property from its JSON record."""
     return PropertyRange(
         None if record["span"] is None else _parse_span(record["span"], zero=True), bool(record["unknown"])
     )
 
 
 def _parse_span(record: Any, *, zero: bool = False) -> tuple[float, float]:
-    """Return (low, high). Raises ValueError unless 0 < low ≤ high, or 0 ≤ low if `zero` is set."""
+    """Return a range (low, high). Raises ValueError unless 0 < low ≤ high; with `zero`, low may be 0."""
     low, high = (float(value) for value in record)
     if not 0.0 <= low <= high < float("inf") or (low == 0.0 and not zero):
         raise ValueError(f"{low:g} to {high:g} is not a range")

@@ -1,9 +1,10 @@
-"""Compiled rendering of carriers and of the filters around them.
+"""Compiled rendering of the noise carriers and of the filters around them.
 
-Holds the C calls that draw noise bands and turn them into waves, render hops of modulated carriers, read arc-length
-carriers for a live hand, interpolate the hand's position, filter the pressing force, and find the bends of an action.
-The numpy implementations of the same are in field/carriers.py, field/carrier_rendering.py, field/live/carriers.py,
-field/stroke.py, field/contact_filter.py and field/adaptive_sampling.py.
+Holds the C calls that draw noise bands and turn them into waves, render carriers modulated by amplitudes, hop by hop (a
+fixed number of samples), read arc-length carriers for a live hand, interpolate the hand's position, filter the pressing
+force, and find the bends of an action. The numpy implementations of the same are in field/carriers.py,
+field/carrier_rendering.py, field/live/carriers.py, field/stroke.py, field/contact_filter.py and
+field/adaptive_sampling.py.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ _EXPECTED_READINGS_PER_HOP = 16
 
 
 class ArcHop(NamedTuple):
-    """Arc-length carriers of one hop and octave.
+    """Noise along the path: carriers of one octave over one hop, a stretch of fixed length.
 
-    waves: (B, cells), contiguous. address: of waves, computed once.
+    waves: (B, cells) of B bands at complex spatial samples (cells), contiguous. address: of waves, computed once.
     """
 
     waves: NDArray[np.complex64]
@@ -49,14 +50,15 @@ class ArcHop(NamedTuple):
 
     @staticmethod
     def from_waves(waves: NDArray[np.complex64]) -> ArcHop:
-        """Store waves (B, cells) together with their address."""
+        """Store waves (B, cells) of B bands together with their memory address."""
         return ArcHop(waves, get_address(waves, np.complex64))
 
 
 class TimeHop(NamedTuple):
-    """Time carriers of one hop.
+    """Noise bands in time over one hop, a fixed number of samples.
 
-    waves: per level (bands, samples), contiguous. addresses: the packed pointers to them, computed once.
+    waves: per sample rate (the model's, its half, its quarter) the (bands, samples) stored at it, contiguous.
+    addresses: packed pointers to them, computed once.
     """
 
     waves: tuple[Float32, ...]
@@ -64,7 +66,7 @@ class TimeHop(NamedTuple):
 
     @staticmethod
     def from_waves(waves: tuple[Float32, ...]) -> TimeHop:
-        """Store waves of every level together with their addresses."""
+        """Store waves, one array per sample rate, together with their memory addresses."""
         return TimeHop(waves, pack_pointers([get_address(level, np.float32) for level in waves]))
 
 
@@ -83,22 +85,23 @@ class _KnotsStruct(ctypes.Structure):
 
 
 class CarrierTables:
-    """Constants of a set of carriers, the hnf_carriers of hnf_kernel.h.
+    """Constants of a set of noise carriers in the form the C functions read, the struct hnf_carriers of hnf_kernel.h.
 
     The object owns the arrays that the C structure points to.
 
     Parameters
     ----------
     margin, time_band, time_bands
-        (levels,) samples kept on either side of a hop, first band and number of bands of each level.
+        (levels,) samples kept on either side of a hop, first band and number of bands, for each stored sample rate
+        (level: how often it is halved).
     cells_per_m
-        (octaves,) spatial cells per metre.
+        (octaves,) complex spatial samples (cells) per metre.
     half_band
         (2 taps,) filter that reads halfway between two samples.
     cubic
-        (4, 4) coefficients of the spatial interpolation.
+        (4, 4) coefficients of the cubic spatial interpolation.
     **numbers
-        The scalars of hnf_carriers by their names.
+        The other numbers of the struct by their names.
 
     Raises
     ------
@@ -145,7 +148,7 @@ def render_hops(
     kernel: ctypes.CDLL, tables: CarrierTables, at: Integers, amplitude: Float32, first: int, position: Float,
     waves: Sequence[TimeHop | None], get_arc_hop: Callable[[int, int], ArcHop],
 ) -> Float:  # fmt: skip
-    """Render n hops of all carriers, Σ_k A_k c_k, from sample `first` on; each hop is independent of the others.
+    """Render Σ_k A_k c_k over all carriers in n adjacent hops (hop samples each), from sample `first` on.
 
     Parameters
     ----------
@@ -160,9 +163,9 @@ def render_hops(
     position
         (reach + n · hop + reach,) path position s [m] at the samples.
     waves
-        Time carriers of each hop; None where their amplitudes are zero.
+        Noise bands in time for each hop; None where their amplitudes are zero.
     get_arc_hop
-        Function (octave, hop number) → arc-length carriers.
+        Function (octave, hop number) → noise along the path.
 
     Returns
     -------
@@ -203,14 +206,14 @@ def render_hops(
 
 
 class ArcReader:
-    """Reader of Σ_k A_k c_k(s) between two knots; its buffers are allocated once and reused.
+    """Evaluator of Σ_k A_k c_k(s), noise along the path, over one 5 ms step; its buffers are reused.
 
     Parameters
     ----------
     tables
         Constants of the carriers.
     share
-        (count,) fraction of the way from the first knot to the second.
+        (count,) of each sample, fraction of the way from the amplitudes at the step's start to those at its end.
     """
 
     def __init__(self, tables: CarrierTables, share: Float32) -> None:
@@ -225,10 +228,10 @@ class ArcReader:
     def read(
         self, kernel: ctypes.CDLL, octaves: Sequence[int], position: Float, get_arc_hop: Callable[[int, int], ArcHop]
     ) -> Float32:
-        """Sum the carriers of octaves at position (count,) [m], for the amplitudes in self.amplitude.
+        """Sum the carriers of some octaves at path positions (count,) [m], times the amplitudes in self.amplitude.
 
-        Set self.amplitude (2, octaves · bands) first. The next call overwrites the result. get_arc_hop: as of
-        render_hops. Raises ValueError if shapes do not fit or a position is not finite.
+        Set self.amplitude (2, octaves · bands) first. The next call overwrites the result. get_arc_hop: function
+        (octave, hop number) → noise along the path. Raises ValueError if shapes do not fit or a position is not finite.
         """
         tables, cells = self._tables, self._tables.piece_cells
         lowest, highest = _find_extent(tables, position)
@@ -256,7 +259,8 @@ class ArcReader:
 def _find_extent(tables: CarrierTables, position: Float) -> tuple[float, float]:
     """Return the smallest and largest position [m].
 
-    Raises ValueError if one is not finite, or so large that its cell is no exact integer.
+    Raises ValueError if one is not finite, or so large that the number of its spatial sample is no exact integer in
+    float64.
     """
     lowest, highest = float(position.min()), float(position.max())
     if not max(-lowest, highest) * max(tables.cells_per_m, default=1.0) < _MAX_CELL:
@@ -267,7 +271,10 @@ def _find_extent(tables: CarrierTables, position: Float) -> tuple[float, float]:
 def _plan_readings(
     kernel: ctypes.CDLL, shared: tuple[Any, Any], first: int, count: int, position: Float
 ) -> tuple[Integers, Integers]:
-    """Return the readings of all hops, and the number of readings of each hop."""
+    """Return which parts of the arc carriers must be evaluated, as integer rows, and the number of rows of each hop.
+
+    A row ("reading") is an octave over a range of samples within a hop.
+    """
     capacity, counts = _EXPECTED_READINGS_PER_HOP * count, np.empty(count, dtype=np.int64)
     while True:
         readings = np.empty((capacity, _READING_SIZE), dtype=np.int64)
@@ -285,7 +292,10 @@ def _plan_readings(
 def _collect_arc_hops(
     tables: CarrierTables, readings: Integers, get_arc_hop: Callable[[int, int], ArcHop]
 ) -> list[ArcHop]:
-    """Return the arc hops that the readings need, and store in each reading where its hops begin."""
+    """Return the noise along the path that all readings need, and store in each where its part begins.
+
+    readings: integer rows of _plan_readings.
+    """
     arc_hops: list[ArcHop] = []
     starts: list[int] = []
     by_number: dict[tuple[int, int], ArcHop] = {}
@@ -305,7 +315,7 @@ def _collect_arc_hops(
 
 
 def _check_arc_hop(tables: CarrierTables, arc_hop: ArcHop) -> ArcHop:
-    """Return the hop if its shape fits; raise ValueError otherwise."""
+    """Return `arc_hop` if the shape of its waves fits the tables; raise ValueError otherwise."""
     if arc_hop.waves.shape != (tables.bands, tables.piece_cells):
         expected = f"{tables.bands} bands of {tables.piece_cells} cells"
         raise ValueError(f"a piece of {arc_hop.waves.shape} where {expected} are read")
@@ -313,7 +323,7 @@ def _check_arc_hop(tables: CarrierTables, arc_hop: ArcHop) -> ArcHop:
 
 
 def _pack_time_hop(tables: CarrierTables, waves: TimeHop | None) -> bytes:
-    """Return the packed pointers of a hop's levels, null pointers for None."""
+    """Return packed pointers to a hop's time carriers, one per stored sample rate; null pointers for None."""
     if waves is None:
         return bytes(tables.levels * struct.calcsize("P"))
     shapes = [level_waves.shape for level_waves in waves.waves]
@@ -323,13 +333,13 @@ def _pack_time_hop(tables: CarrierTables, waves: TimeHop | None) -> bytes:
 
 
 def _get_knot_layout(amplitude: Float32) -> tuple[int, int, int]:
-    """Return address, number and stride of the knots' amplitudes."""
+    """Return address, number of rows and row stride (in elements) of the amplitudes (m, K) at m knots."""
     begin, stride = get_row_layout(amplitude)
     return begin, len(amplitude), stride
 
 
 def interpolate_position(kernel: ctypes.CDLL, position: Float, samples_per_state: int, start: int, count: int) -> Float:
-    """Interpolate position s(t) [m] at `count` samples from `start` on, from position (n,) at the states.
+    """Interpolate the path position s(t) [m] at `count` samples from `start` on, given (n,) at the states.
 
     Raises ValueError for fewer than two states.
     """
@@ -350,10 +360,10 @@ TILE_SAMPLES = 32
 
 
 def draw_bins(kernel: ctypes.CDLL, key: tuple[int, int, int], pairs: int, first: int, level: Float) -> Complex:
-    """Draw (n,) complex normal bins, level · sqrt(−2 log u) · e^{2πiv} (Box & Muller 1958), from bin `first` on.
+    """Draw (n,) complex normal FFT bins, level · sqrt(−2 log u) · e^{2πiv} (Box & Muller 1958), from bin `first` on.
 
-    key: seed, stream and block, as unsigned words. pairs: pairs of words in the block. Raises ValueError if the bins
-    exceed the block.
+    key: seed, stream and block number, as unsigned words. pairs: pairs (u, v) of random words in a block. level: (n,)
+    scale of each bin. Raises ValueError if the bins exceed the block.
     """
     if not 0 <= first <= first + len(level) <= pairs:
         raise ValueError(f"words {first} to {first + len(level) - 1} of {pairs} pairs")
@@ -366,14 +376,14 @@ def render_real_waves(
     kernel: ctypes.CDLL, bins: Complex, starts: Starts, which: Starts, slow: Float32, turns: tuple[Float32, Float32],
     window: Float32, out: Float32,
 ) -> None:  # fmt: skip
-    """Compute the rows `which` of out (B, size): 2 Re Σ_k X_k e^{2πikn/size}, times window (size,).
+    """Compute waves of noise bands, 2 Re Σ_k X_k e^{2πikn/size} times window, into the rows `which` of out (B, size).
 
     Parameters
     ----------
     kernel
         Library of `load_kernel`.
     bins, starts
-        As in field.carriers.WavePlan.
+        (Σ W,) FFT bins X of the bands, one after another; (B + 1,) first bin of each band, and the end of the last.
     which
         (rows,) indices of the bands to compute.
     slow
@@ -405,9 +415,10 @@ def render_complex_waves(
     kernel: ctypes.CDLL, bins: Complex, starts: Starts, slow: Float32, turns: tuple[Float32, Float32], window: Float32,
     out: NDArray[np.complex64],
 ) -> None:  # fmt: skip
-    """Compute out (B, size): Σ_k X_k e^{2πi(k − middle)n/size}, times window (size,).
+    """Compute complex waves of noise bands into out (B, size): Σ_k X_k e^{2πi(k − middle)n/size}, times window.
 
-    turns are those of each band's first bin minus the middle. Parameters and errors as of render_real_waves.
+    turns: cosine and sine (B, size / 2 + 1) of each band's first bin minus the middle. Other parameters and errors as
+    of render_real_waves.
     """
     bands, size = out.shape
     _check_waves(out, slow, turns, window, np.arange(bands), bins, starts)
@@ -440,14 +451,15 @@ MAX_SAMPLES_PER_STATE = 64
 
 
 class StateResponses:
-    """Response of a state's samples to 1 N at each neighbouring state, for each of B contacts.
+    """Responses of acceleration to pressing force, as tables, for B contacts (a material under a load each).
 
     Parameters
     ----------
     tables
-        Per contact (rows, samples), the earliest state first.
+        Per contact (rows, samples): the samples of one 5 ms state as 1 N in each neighbouring state causes them, the
+        earliest state first.
     ahead
-        Number of last rows that belong to later states.
+        Number of last rows that belong to states after the samples.
 
     Raises
     ------
@@ -468,9 +480,10 @@ class StateResponses:
         self._table_pointers = pack_pointers([get_address(table, np.float64) for table in tables])
 
     def compute_force_response(self, kernel: ctypes.CDLL, force: Float, weight: Float, first: int, count: int) -> Float:
-        """Return the acceleration (count · samples,) from state `first` on, of force (n,) [N] and weight (n, B).
+        """Return the acceleration (count · samples,) [m/s²] from state `first` on.
 
-        Force and weight are constant beyond their ends. Raises ValueError if shapes do not fit.
+        force: (n,) [N] at the states. weight: (n, B) of each contact. Both are constant beyond their ends. Raises
+        ValueError if shapes do not fit.
         """
         if weight.shape != (len(force), len(self.tables)) or not len(force):
             raise ValueError(f"{weight.shape} weights of {len(self.tables)} contacts at {len(force)} states")
@@ -486,9 +499,10 @@ class StateResponses:
 def find_bends(
     kernel: ctypes.CDLL, course: NDArray[np.float64], required: NDArray[np.int64], tolerance: float
 ) -> NDArray[np.int64]:
-    """Return the rows of a course (n, channels) between which every channel is straight within `tolerance`, ascending.
+    """Return the rows of a sampled curve (n, channels) that approximate it by straight lines within `tolerance`.
 
-    required: rows that are always included, the first and the last among them. Raises ValueError if they are not.
+    Rows ascend. required: rows that are always included, the first and the last among them. Raises ValueError if they
+    are not.
     """
     if not len(required) or required[0] != 0 or required[-1] != len(course) - 1:
         raise ValueError(f"a course of {len(course)} states from {required[:1]} to {required[-1:]}")

@@ -1,10 +1,10 @@
-"""Compiled evaluation of F_Θ: linear contact, network inputs, layers and heads, and the decoding to amplitudes.
+"""Compiled evaluation of the field F_Θ: linear contact, network inputs, layers and heads, decoding to amplitudes.
 
 The numpy implementations of the same are in field/linear_contact.py, field/features.py, field/field.py and, for
-interpolation between rows, field/adaptive_sampling.py. The result of a state depends on that state alone, to the last
-bit: not on the batch it is in, nor on the number of cores. Weights are stored in the order in which they are used,
-which a BLAS would rearrange at every call: at H = 256 this is 1.3 times faster for a hundred states at once, twice for
-sixteen.
+interpolation between rows, field/adaptive_sampling.py. The result of a state of the hand depends on that state alone,
+to the last bit: not on the batch it is in, nor on the number of cores. Weights are stored in the order in which they
+are used, which a BLAS would rearrange at every call: at H = 256 this is 1.3 times faster for a hundred states at once,
+twice for sixteen.
 """
 
 from __future__ import annotations
@@ -52,22 +52,24 @@ class _TablesStruct(ctypes.Structure):
 
 
 class ContactTables:
-    """Constants of the linear contact, the hnf_tables of hnf_kernel.h.
+    """Constants of the linear contact model in the form the C functions read, the struct hnf_tables of hnf_kernel.h.
 
     The object owns the arrays that the C structure points to.
 
     Parameters
     ----------
     features
-        Names of a band's features in a token, in order.
+        Names of the features that a material token has per octave band, in order.
     kappa, below, share
-        (K,) wavenumber of each arc band, the token band below it, and the fraction of the way to the next.
+        (K,) wavenumber of each arc band (band along the path), the token's octave band below it, and the fraction of
+        the way to the next.
     wavelength, nearest_end
-        (T,) wavelength of each token band, and the end of the arc bands nearest to it.
+        (T,) wavelength of each token band, and the index after the last arc band that it is nearest to.
     turn, shift
-        (A, 4) cosines and sines of each angle, (A,) arc bands by which it shifts a wave.
+        (A, 4) cosines and sines of twice and four times each angle of a wave to the stroke; (A,) arc bands by which the
+        angle lowers the wave along the stroke.
     **numbers
-        The scalars of hnf_tables by their names.
+        The other numbers of the struct by their names.
 
     Raises
     ------
@@ -100,9 +102,10 @@ class ContactTables:
 
 
 class ContactArrays(NamedTuple):
-    """Linear contact of n states: the arrays of field.linear_contact.LinearContact.
+    """Vibration power that the linear contact predicts at n states, as field.linear_contact.LinearContact.
 
-    power, noise: (n, K). normal: (n,). lines: (2, n, 2T). low: (n, 2T).
+    power, noise: (n, K) per arc band, with and without tones. normal: (n,) of the normal axis. lines: (2, n, 2T) of
+    tones, in the two arc bands about each. low: (n, 2T) index of the lower of the two.
     """
 
     power: Float
@@ -113,10 +116,10 @@ class ContactArrays(NamedTuple):
 
 
 def compute_linear_contact(kernel: ctypes.CDLL, tables: ContactTables, tokens: Float, touch: Float) -> ContactArrays:
-    """Compute the linear contact of n states.
+    """Compute the vibration power that the linear contact predicts at n states.
 
-    tokens: (n, at least T · features). touch: (n, 9), the columns CONTACT_COLUMNS. Raises ValueError if shapes do not
-    fit.
+    tokens: (n, at least T · features) of the materials. touch: (n, 9) contact parameters, the columns CONTACT_COLUMNS.
+    Raises ValueError if shapes do not fit.
     """
     states, lines = len(tokens), 2 * tables.token_bands
     if touch.shape != (states, len(CONTACT_COLUMNS)) or tokens.shape[1] < tables.token_size:
@@ -136,9 +139,10 @@ def compute_linear_contact(kernel: ctypes.CDLL, tables: ContactTables, tokens: F
 
 
 def blend_rows(kernel: ctypes.CDLL, values: Float32, row: Integers, share: Float, factor: Float) -> Float32:
-    """Sum interpolated rows: (n, K) Σ_t factor · ((1 − share) · values[row] + share · values[row + 1]).
+    """Sum interpolated rows of a table: (n, K) Σ_t factor · ((1 − share) · values[row] + share · values[row + 1]).
 
-    values: (m, K). row, share, factor: (n, terms). Raises ValueError if a row is out of range.
+    values: (m, K) table. row, share, factor: (n, terms) row before, fraction of the way to the next, and weight of each
+    term. Raises ValueError if a row is out of range.
     """
     if not row.shape == share.shape == factor.shape or row.ndim != 2:
         raise ValueError(f"rows {row.shape} with shares {share.shape} and factors {factor.shape}")
@@ -161,7 +165,7 @@ MIN_MULTIPLICATIONS_PER_THREAD = 1 << 24
 
 
 class Layers:
-    """ReLU layers and both heads, with weights packed for the kernel.
+    """ReLU layers and both heads of F_Θ, with weights packed in the order in which the C code reads them.
 
     Parameters
     ----------
@@ -228,7 +232,7 @@ class Layers:
 
 
 def _pack_panels(weight: Float32) -> Float32:
-    """Rearrange weights (outputs, inputs) as (panels, inputs, PANEL_WIDTH)."""
+    """Rearrange weights (outputs, inputs) as (panels, inputs, PANEL_WIDTH): panels of PANEL_WIDTH outputs."""
     inputs = weight.shape[1]
     return np.ascontiguousarray(_pad_rows(weight).reshape(-1, PANEL_WIDTH, inputs).transpose(0, 2, 1))
 
@@ -270,7 +274,7 @@ class _ContactPriorStruct(ctypes.Structure):
 
 
 class EmissionTables:
-    """Constants of a field's inputs and outputs, the hnf_emitter of hnf_kernel.h.
+    """Constants of a field's inputs and outputs in the form C reads, the struct hnf_emitter of hnf_kernel.h.
 
     The object owns the arrays that the C structure points to.
 
@@ -279,17 +283,18 @@ class EmissionTables:
     tables
         Constants of the linear contact.
     token_shift, token_scale
-        (T,) normalisation of the token.
+        (T,) normalisation of the material token.
     time_edge
-        (Kt + 1,) edges of the time bands, in arc bands at 1 m/s.
+        (Kt + 1,) edges of the time bands, as fractional arc-band indices at 1 m/s.
     skip
         (K,) weight of the linear contact in the log amplitude.
     knot, knot_share
-        (Ka,) knot below each arc carrier, and the fraction of the way to the next.
+        (Ka,) for each arc carrier the α head output below it, and the fraction of the way to the next, by which it is
+        interpolated.
     harmonic_shift, harmonic_start
-        (H,) shift [arc bands] and initial log gain of each harmonic.
+        (H,) of each harmonic of a tone, its shift [arc bands] and initial log gain.
     **numbers
-        The scalars of hnf_emitter by their names.
+        The other numbers of the struct by their names.
 
     Raises
     ------
@@ -334,10 +339,10 @@ class EmissionTables:
 
 @dataclass(frozen=True)
 class ContactPrior:
-    """Expectation of the linear contact for n states.
+    """What the linear contact predicts for n states, to which the network's output is a correction.
 
-    prior: (n, K) log amplitudes. line: (n, 2, L) powers in the two arc bands about each tone. low: (n, L) index of the
-    lower of the two.
+    prior: (n, K) log amplitude per carrier. line: (n, 2, L) powers in the two arc bands about each tone. low: (n, L)
+    index of the lower of the two.
     """
 
     prior: Float
@@ -369,7 +374,7 @@ class ContactPrior:
 def compute_inputs(
     kernel: ctypes.CDLL, emitter: EmissionTables, tokens: Float, fixed: Float, motion: Float, touch: Float
 ) -> tuple[Float32, ContactPrior]:
-    """Compute the network inputs of n states, and the expectation of the linear contact.
+    """Compute the network inputs of n states, and what the linear contact predicts for them.
 
     Parameters
     ----------
@@ -378,18 +383,18 @@ def compute_inputs(
     emitter
         Constants of the field.
     tokens
-        (n, TOKEN_DIM).
+        (n, TOKEN_DIM) of the materials.
     fixed
-        (n, F) inputs that are copied as they are.
+        (n, F) inputs of mechanics and probe, which are copied as they are.
     motion
-        (n, 7), the columns MOTION_COLUMNS; speed and force not below their floors.
+        (n, 7) motion of the hand, the columns MOTION_COLUMNS; speed and force not below their floors.
     touch
-        (n, 9), the columns CONTACT_COLUMNS.
+        (n, 9) contact parameters, the columns CONTACT_COLUMNS.
 
     Returns
     -------
     tuple
-        (n, D) float32 inputs, and the prior.
+        (n, D) float32 inputs, and the linear contact's prediction.
 
     Raises
     ------
@@ -418,7 +423,7 @@ def decode_head(
 ) -> Float:
     """Compute (n, K) amplitudes from the α head's outputs (n, outputs); 0 where nothing moves.
 
-    motion, prior: as of compute_inputs. Raises ValueError if shapes do not fit.
+    motion: (n, 7), the columns MOTION_COLUMNS. prior: from compute_inputs. Raises ValueError if shapes do not fit.
     """
     states = len(head)
     _check_head(emitter, head, motion)
@@ -441,9 +446,10 @@ def decode_head(
 def decode_known_head(
     kernel: ctypes.CDLL, emitter: EmissionTables, tokens: Float, motion: Float, touch: Float, head: Float32
 ) -> Float:
-    """Compute (n, K) amplitudes from outputs of the α head (n, outputs) that are known without evaluating the network.
+    """Compute (n, K) amplitudes from known outputs of the α head (n, outputs), without evaluating the network.
 
-    The prior is computed, but no network inputs. Parameters and errors as of compute_inputs.
+    The linear contact's prediction is computed, but no network inputs. Other parameters and errors as of
+    compute_inputs.
     """
     states = len(tokens)
     _check_state_shapes(emitter, tokens, None, motion, touch)
@@ -491,9 +497,9 @@ class StateEvaluator:
     layers
         Layers of the field.
     token
-        (1, TOKEN_DIM).
+        (1, TOKEN_DIM) of the material.
     fixed
-        (1, F) inputs that no state changes.
+        (1, F) inputs of mechanics and probe, the same for every state.
 
     Raises
     ------
@@ -531,7 +537,7 @@ class StateEvaluator:
         self._buffers = (emitter, layers, token, fixed, x, prior, prior_struct, buffer, layer_buffer, head)
 
     def evaluate(self, kernel: ctypes.CDLL, motion: Sequence[float], touch: Sequence[float]) -> tuple[Float, Float32]:
-        """Return α (K,), 0 where nothing moves, and the σ head's outputs (N,); the next call overwrites both.
+        """Return amplitudes α (K,), 0 if nothing moves, and the σ head's outputs (N,); the next call overwrites both.
 
         motion, touch: values in the order of MOTION_COLUMNS and CONTACT_COLUMNS.
         """

@@ -1,4 +1,4 @@
-"""Fit F_Θ to the observed spectra of steady strokes by likelihood: AdamW with cosine annealing, all data in memory.
+"""Fit F_Θ to the spectra of simulated steady strokes by likelihood: AdamW with cosine annealing, all data in memory.
 
 A `Checkpoint` holds everything that the next epoch of a training run depends on, in one safetensors file.
 """
@@ -43,14 +43,15 @@ class Schedule:
     batch
         Strokes per step.
     learning_rate
-        Of AdamW, annealed to 1 % by a cosine.
+        Learning rate of AdamW, annealed to 1 % by a cosine.
     decay
         Decoupled weight decay.
     token_noise
-        Standard deviation of the noise added to the network's token (not to the linear contact's), so that a few
-        hundred surfaces are not memorised.
+        Standard deviation of the noise added to the material token as a network input (not as input of the linear
+        contact), so that a few hundred surfaces are not memorised.
     ridge
-        Penalty on the log-amplitude head, the correction to the linear contact: without data the linear contact stands.
+        Penalty on the log-amplitude head, whose output is a correction to the linear contact's prediction: where there
+        are no data the correction stays 0.
     """
 
     epochs: int = 100
@@ -63,10 +64,12 @@ class Schedule:
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """Network inputs and observations of n strokes, in V variants.
+    """Network inputs and observed spectra of n strokes; inputs exist in V variants.
 
-    x: (V, n, D). prior: (V, n, K). gate: (n, K). speed: (n,) index into the speed grid. power: (n, 107). Variant 0 has
-    all mechanics, the others have some withheld or another patch's token.
+    x: (V, n, D) inputs. prior: (V, n, K) log amplitudes of the linear contact. gate: (n, K) factor on the output.
+    speed: (n,) index into the speed grid. power: (n, 107) spectral densities (100 bins of 10 Hz, seven bands above). In
+    variant 0 all mechanics (stiffness, damping, friction) are known; the others lack some, or have the token of another
+    patch.
     """
 
     x: Tensor
@@ -79,7 +82,7 @@ class TrainingSet:
 def make_condition(
     strokes: Sequence[SteadyStroke], tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]
 ) -> Condition:
-    """Build the Condition of steady strokes, which must share one probe.
+    """Build the field's input (Condition) for steady strokes, which must share one probe.
 
     tokens: (surfaces, TOKEN_DIM). mechanics: one per stroke.
     """
@@ -100,7 +103,7 @@ def make_condition(
 def build_network_inputs(
     config: FieldConfig, strokes: Sequence[SteadyStroke], tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Compute x (n, D), prior (n, K …) and gate (n, K) of strokes with any probes.
+    """Compute network inputs x (n, D), prior (n, K …) and gate (n, K) (see features.Inputs) of n steady strokes.
 
     tokens: (surfaces, TOKEN_DIM), indexed by the strokes. mechanics: one per stroke.
     """
@@ -132,7 +135,7 @@ def build_training_set(
     seed: int,
     alternative_surfaces: Sequence[Sequence[int]] = (),
 ) -> TrainingSet:
-    """Build the network inputs of every stroke: as it is, then variants − 1 draws of unknown mechanics.
+    """Build the network inputs of every stroke, once as it is, and in variants with some mechanics unknown.
 
     Parameters
     ----------
@@ -141,17 +144,18 @@ def build_training_set(
     strokes
         The n strokes.
     tokens
-        (surfaces, TOKEN_DIM).
+        (surfaces, TOKEN_DIM), which the strokes refer to by index.
     power
-        (n, 107) observed.
+        (n, 107) observed spectral densities.
     variants
-        Number of variants with the stroke's own token.
+        Number of variants with the stroke's own token: the first with all mechanics, the others with random ones
+        withheld.
     seed
-        Of the draws.
+        Seed of the random choices.
     alternative_surfaces
         For each further variant a surface per stroke, of the same material, whose token replaces the stroke's own; in
-        every second of these some mechanics are withheld. Differences between patches of one material are accidental,
-        and the field is evaluated on patches that nobody stroked.
+        every second of these some mechanics are withheld. This teaches the network that patches of one material differ
+        by chance; it is used on patches it has never seen.
 
     Returns
     -------
@@ -192,7 +196,10 @@ class Likelihood:
         self.likelihood = WindowLikelihood()
 
     def compute_expected_power(self, amplitude: Tensor, speed: Tensor) -> Tensor:
-        """Compute the expected density (n, 107) of amplitudes (n, K) at speed indices (n,)."""
+        """Compute the expected spectral densities (n, 107) of carriers with amplitudes (n, K).
+
+        speed: (n,) index into the speed grid.
+        """
         power = amplitude.square()
         time = power[:, self.carriers.time_slice] @ self.time
         return time + compute_arc_density(power[:, self.carriers.arc_slice], speed, self.arc) + DENSITY_FLOOR
@@ -204,7 +211,8 @@ class Likelihood:
 def fit_network(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -> FieldNetwork:
     """Train from initial_parameters(config, seed); deterministic for a given number of threads.
 
-    The σ head is not trained: a steady stroke does not depend on memory, and a free σ would only be a second gain.
+    The σ head, which weights past states, is not trained: on a steady stroke these are equal, and σ would only be a
+    second gain.
     """
     network = FieldNetwork(config, initial_parameters(config, seed))
     for name in ("sigma_weight", "sigma_bias"):
@@ -242,9 +250,9 @@ def fit_network(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed
 
 
 def rotate_inputs(x: Tensor, angle: Tensor) -> Tensor:
-    """Turn surface and stroke of every input row together by angle (n,) [rad].
+    """Rotate surface and stroke in every row of network inputs together by angle (n,) [rad].
 
-    The training repeats strokes this way because nothing may depend on where a tangent frame points.
+    Data augmentation: the result may not depend on the orientation of the tangent frame.
     """
     width, bands = len(BAND_FEATURES), range(len(BAND_WAVELENGTHS_M))
     two = [band * width + BAND_FEATURES.index("cos2") for band in bands]
@@ -264,7 +272,7 @@ FORMAT = "hnf-checkpoint-1"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """State of a run after `epoch` epochs.
+    """State of a training run after `epoch` epochs.
 
     tensors: network, optimiser, best weights and random state, by name. history: (epoch, 3) epoch number, training loss
     and validation loss.
@@ -276,7 +284,7 @@ class Checkpoint:
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint, fingerprint: str) -> None:
-    """Write a checkpoint atomically, with the fingerprint of its run. Raises FileError."""
+    """Write a checkpoint atomically, with a hash (fingerprint) of the run's data and settings. Raises FileError."""
     tensors = {name: np.ascontiguousarray(value) for name, value in checkpoint.tensors.items()}
     tensors["history"] = checkpoint.history
     metadata = {"format": FORMAT, "fingerprint": fingerprint, "epoch": str(checkpoint.epoch)}

@@ -35,7 +35,7 @@ The models of HaTT hold none: each is a filter that changes with speed, and arc 
 
 @dataclass(frozen=True)
 class TrainingOverrides:
-    """Settings of the user; None for the value that suits the data."""
+    """Training settings given by the user; None for the value that is chosen to suit the data."""
 
     hidden: int | None = None
     layers: int | None = None
@@ -45,18 +45,18 @@ class TrainingOverrides:
 
 
 def make_fine_carriers(arc_octaves: int = 0) -> Carriers:
-    """Build time carriers centred on 10, 20 … 1000 Hz, 10 Hz wide, then seven widening bands to 5 kHz."""
+    """Build noise carriers in bands centred on 10, 20 … 1000 Hz, 10 Hz wide, then seven widening ones to 5 kHz."""
     fine = (np.arange(1, FINE_BINS + 1) + 0.5) * FINE_BIN_HZ
     edges = np.concatenate([[2.0], fine, fine[-1] * (5000.0 / fine[-1]) ** (np.arange(1, 8) / 7)])
     return Carriers(time_edges_hz=tuple(float(edge) for edge in edges), arc_octaves=arc_octaves)
 
 
 def choose_config(recordings: Sequence[Recording], *, arc: bool, token_known: bool) -> FieldConfig:
-    """Choose the architecture that suits the data.
+    """Choose the architecture of the field that suits the recordings.
 
-    The linear contact is used if the token is known, arc carriers if asked for, direction if it was recorded, and N = 5
-    past states if hands stop or turn back. There accumulation wins (docs/training.md); other strokes do not depend on
-    memory, and N = 1 gives the same field with less work.
+    The linear contact is used if the material's token is known, arc carriers (noise bands along the path) if asked for,
+    direction if it was recorded, and N = 5 past states if hands stop or turn back, where they improve the result
+    (docs/training.md). Otherwise N = 1 gives the same field with less work.
     """
     directed = any("direction" in recording.known for recording in recordings)
     states = PAST_STATE_COUNT if any(_has_reversals(recording.action) for recording in recordings) else 1
@@ -110,8 +110,8 @@ def train_from_recordings(
     Returns
     -------
     tuple
-        The result, whose field carries in its metadata what `hnf synth --weights` needs, and a record for users and
-        programs.
+        The training result, with metadata in its field that `hnf synth --weights` needs, and a JSON-like summary of the
+        run.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def _with_metadata(field: Field, metadata: Mapping[str, str]) -> Field:
 
 
 def _find_token_and_mechanics(kind: str, name: str) -> tuple[NDArray[np.float32] | None, Mechanics]:
-    """Return token and mechanics of a library material; None and unknown for other data."""
+    """Return token and mechanics of a material from the library; None and unknown mechanics for other data."""
     if kind != "simulated":
         return None, UNKNOWN_MECHANICS
     material = get_material(name)

@@ -27,7 +27,7 @@ class LearnRequest:
     material
         Name of the material in the data set.
     seconds
-        Duration of strokes to synthesise, if the data set holds models [s].
+        Duration of the recordings to simulate [s], if the data set holds models and no recordings.
     epochs
         Largest number of epochs.
     """
@@ -42,8 +42,8 @@ class LearnRequest:
 def learn_material(request: LearnRequest, out: Path, report_progress: Callable[[Progress], None]) -> None:
     """Train on one material of a data set and write the weights.
 
-    A killed run continues from the checkpoint beside `out` when the same request is made again. The last reported step
-    is the saving.
+    A killed run continues from the checkpoint beside `out` when the same request is made again. The last progress
+    report comes when the weights are saved.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
-"""Whittle likelihood of observed window spectra, and the matrices that give their expectation from carrier powers.
+"""Whittle likelihood of windowed spectra, and matrices that give the expected spectra of noise carriers.
 
-A carrier of unit power contributes its band, convolved with the window's kernel, to the 107 observed densities.
+A spectrum is 107 densities: 100 bins of 10 Hz, then seven wider bands. A carrier (noise band) of unit power adds its
+band to them, convolved with the spectrum of the analysis window.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ else."""
 class WindowLikelihood:
     """Negative Whittle log-likelihood per observation: 100 fine bins, seven coarse bands, and the total power.
 
-    counted_bins: (107,) bool, observations that count; None for all.
+    counted_bins: (107,) bool, bins and bands that count; None for all.
     """
 
     def __init__(self, counted_bins: NDArray[np.bool_] | None = None) -> None:
@@ -41,7 +42,10 @@ class WindowLikelihood:
         self.weight[:-1] *= torch.tensor(counted, dtype=torch.float32)
 
     def __call__(self, expected: Tensor, recorded: Tensor) -> Tensor:
-        """Return the mean over rows; both arguments are (n, 107) densities above 0 that contain DENSITY_FLOOR."""
+        """Return the mean loss of n spectra; both arguments are (n, 107) densities.
+
+        DENSITY_FLOOR must have been added to them.
+        """
         first, second = (
             torch.cat([density, (density @ self.width)[:, None]], dim=1) for density in (expected, recorded)
         )
@@ -49,9 +53,9 @@ class WindowLikelihood:
 
 
 def compute_arc_density(power: Tensor, speed: Tensor, table: Tensor) -> Tensor:
-    """Compute the expected density (n, 107) of arc carriers' powers (n, Ka).
+    """Compute the expected densities (n, 107) of arc carriers (noise bands along the path) of powers (n, Ka).
 
-    speed: (n,) index of each row's speed in table (S, Ka, 107). Rows of one speed share one product.
+    table: (S, Ka, 107) densities of unit power at S speeds. speed: (n,) index of each row's speed.
     """
     order = torch.argsort(speed)  # Not stable, because the shipped weights were trained in this order.
     values, counts = torch.unique_consecutive(speed[order], return_counts=True)
@@ -61,13 +65,13 @@ def compute_arc_density(power: Tensor, speed: Tensor, table: Tensor) -> Tensor:
 
 
 def compute_whittle_loss(expected: Tensor, recorded: Tensor, weight: Tensor) -> Tensor:
-    """Compute the negative Whittle log-likelihood per row, Σ w (log S + P / S), with S expected and P recorded.
+    """Compute the negative Whittle log-likelihood per row, Σ w (log S + P / S), of densities S expected, P recorded.
 
     Notes
     -----
     P. Whittle (1953), "Estimation and information in stationary time series". The expectation is minimal at S = E P; a
-    loss on magnitudes of random draws would learn too quiet a signal. Beyond OUTLIER_RATIO the ratio grows as its
-    logarithm, with a continuous slope; the mean of five windows of a Gaussian texture never reaches it.
+    loss on magnitudes of random draws would learn too quiet a signal. Beyond OUTLIER_RATIO the term P / S continues as
+    a logarithm, so that single outliers weigh less; the mean of five windows of Gaussian noise never reaches it.
     """
     ratio = recorded / expected
     soft = OUTLIER_RATIO * (1.0 + torch.log(torch.clamp(ratio, min=OUTLIER_RATIO) / OUTLIER_RATIO))
@@ -80,7 +84,7 @@ _ZERO_PADDING = 64
 
 
 def compute_band_expectation(edges: Float) -> Float:
-    """Compute the expected density (B, 107) of noise bands of unit power between edges[b] and edges[b + 1] [Hz].
+    """Compute the expected densities (B, 107) of noise bands of unit power between edges[b] and edges[b + 1] [Hz].
 
     The window's kernel |W|² is integrated over the band and over its mirror image at negative frequencies.
     """
@@ -99,7 +103,7 @@ def compute_band_expectation(edges: Float) -> Float:
 
 
 def compute_expectation_matrices(carriers: Carriers, speeds: Float) -> tuple[Float, Float]:
-    """Compute the expected densities of time carriers (Kt, 107), and of arc carriers at each speed (S, Ka, 107)."""
+    """Compute the expected densities of time carriers (Kt, 107) and of arc carriers at S speeds (S, Ka, 107)."""
     time = compute_band_expectation(carriers.time_edges()) if carriers.time_count else np.zeros((0, 107))
     arc = np.stack([compute_band_expectation(carriers.arc_edges() * speed) for speed in speeds])
     return time, arc

@@ -15,7 +15,7 @@ from ..field.linear_contact import HARMONIC_SHIFTS, HARMONIC_START_LOG, LINE_COU
 
 
 def render_weights(sigma_dt: Tensor) -> Tensor:
-    """Compute the weights (..., N) of σΔt (..., N), as field.render_weights.render_weights.
+    """Compute NeRF weights (..., N) from densities σΔt (..., N): w_n = exp(−Σ_{j<n} σ_jΔt) · (1 − exp(−σ_nΔt)).
 
     Gradients are finite for σΔt in [0, ∞]. float16 and bfloat16 are accumulated in float32, float32 and float64 in
     float64, gradients likewise.
@@ -33,7 +33,7 @@ def render_weights(sigma_dt: Tensor) -> Tensor:
 
 
 class FieldNetwork(nn.Module):
-    """F_Θ as a module: x (n, D), prior (n, K), gate (n, K) → alpha (n, heads, K), sigma_dt (n, N).
+    """F_Θ as a torch module: inputs x (n, D), prior (n, K), gate (n, K) → alpha (n, heads, K), sigma_dt (n, N).
 
     Parameters
     ----------
@@ -65,9 +65,10 @@ class FieldNetwork(nn.Module):
         return head.reshape(len(head), config.alpha_heads, config.alpha_outputs), sigma_dt
 
     def compute_emission(self, head: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
-        """Compute α (n, heads, K) from the α head, the prior (n, K) and the gate (n, K).
+        """Compute amplitudes α (n, heads, K) from the α head, the prior (n, K) and the gate (n, K).
 
-        With line gains the prior has further columns, see field.features.Inputs.
+        prior: log amplitudes of the linear contact, which the head corrects; with line gains it has further columns
+        (tones), see field.features.Inputs. gate: factor 0 … 1 for rest and contact.
         """
         config, weights, alpha = self.config, self.weights, head
         count = config.carriers.count
@@ -92,7 +93,7 @@ class FieldNetwork(nn.Module):
         return self.compute_emission(head, prior, gate), sigma_dt
 
     def compute_steady_amplitude(self, x: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
-        """Compute the amplitudes (n, K) of a long steady stroke ("past" accumulation)."""
+        """Compute the amplitudes (n, K) of long steady strokes, where all past states are equal."""
         alpha, sigma_dt = self(x, prior, gate)
         return accumulate_steady(alpha, sigma_dt)
 
@@ -102,9 +103,10 @@ class FieldNetwork(nn.Module):
 
 
 def compute_line_power(gains: Tensor, columns: Tensor, count: int) -> Tensor:
-    """Compute the power of tones (n, count), as field.linear_contact.compute_line_power.
+    """Compute the power (n, count) of a regular surface's tones in each of `count` arc carriers.
 
-    gains: (n, LINE_GAIN_COUNT) logarithmic. columns: (n, 3 LINE_COUNT) prior columns.
+    gains: (n, LINE_GAIN_COUNT) learned log gains of tones and harmonics. columns: (n, 3 LINE_COUNT) of
+    field.linear_contact.encode_line_prior. Same as field.linear_contact.compute_line_power.
     """
     shift, start = (
         torch.tensor(HARMONIC_SHIFTS)[:, None],
@@ -120,5 +122,5 @@ def compute_line_power(gains: Tensor, columns: Tensor, count: int) -> Tensor:
 
 
 def accumulate_steady(alpha: Tensor, sigma_dt: Tensor) -> Tensor:
-    """Accumulate α (n, 1, K) with σΔt (n, N) over a state that has lasted longer than the memory; (n, K)."""
+    """Weight α (n, 1, K) by densities σΔt (n, N) for a state that lasts longer than the past states reach; (n, K)."""
     return render_weights(sigma_dt).sum(dim=-1)[:, None] * alpha[:, 0]

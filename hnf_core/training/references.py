@@ -1,6 +1,7 @@
-"""Long-run spectra of the simulator, and the distance of a field's expectation from them.
+"""Long-run spectra of the contact simulator, to evaluate a trained field, and their distance from its prediction.
 
-The distance is that of the benchmark: RMS over the 10 Hz bins in 10–1000 Hz within 30 dB of the reference's peak.
+The distance is that of the benchmark: RMS over the 10 Hz bins in 10–1000 Hz within 30 dB of the simulated spectrum's
+peak.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ WITHIN_DB = 30.0
 
 @dataclass(frozen=True)
 class References:
-    """Mean spectra of M materials under C conditions.
+    """Simulated mean spectra of M materials under C conditions (speed, force, direction), to compare a field with.
 
     Attributes
     ----------
@@ -43,9 +44,9 @@ class References:
     tokens
         (M, PATCHES, TOKEN_DIM) of the simulated patches.
     spectra
-        (M, C, FINE_BINS) mean over patches and starts.
+        (M, C, FINE_BINS) power density per 10 Hz bin, mean over patches and starting points of strokes.
     scatter_db
-        (M, C) standard error of a bin, RMS over the bins that count.
+        (M, C) standard error of a bin of the mean spectrum [dB], RMS over the bins that count.
     """
 
     specimens: tuple[Specimen, ...]
@@ -55,7 +56,7 @@ class References:
     scatter_db: Float
 
     def mask_counted_bins(self) -> NDArray[np.bool_]:
-        """Return the bins (M, C, FINE_BINS) within WITHIN_DB of the peak."""
+        """Return a mask (M, C, FINE_BINS) of the bins that are compared, within WITHIN_DB of each spectrum's peak."""
         return np.asarray(self.spectra >= self.spectra.max(axis=-1, keepdims=True) * 10.0 ** (-WITHIN_DB / 10.0))
 
 
@@ -66,7 +67,10 @@ def simulate_references(
     workers: int = 2,
     seconds: float = SECONDS,
 ) -> References:
-    """Simulate every material under every condition, with its own mechanics. seconds: duration of each stroke."""
+    """Simulate strokes on every material (specimen) under every condition, and average their spectra.
+
+    seconds: duration of each stroke.
+    """
     surfaces: list[Surface] = make_patches(specimens, FIRST_REFERENCE_PATCH, PATCHES, workers)
     rng = np.random.default_rng(seed)
     strokes = [
@@ -86,7 +90,7 @@ def simulate_references(
 def predict_spectra(
     network: FieldNetwork, references: References, tokens: NDArray[np.float32], mechanics_known: bool = True
 ) -> Float:
-    """Compute the spectra (M, C, FINE_BINS) that a field expects under the references' conditions.
+    """Compute the spectra (M, C, FINE_BINS) that a field predicts for the simulated materials and conditions.
 
     tokens: (M, TOKEN_DIM). mechanics_known: False leaves all mechanics unknown.
     """
@@ -108,12 +112,15 @@ def predict_spectra(
 
 
 def compute_distances_db(references: References, expected: Float) -> Float:
-    """Compute the average-spectrum distance (M, C) [dB] of the expected spectra (M, C, FINE_BINS)."""
+    """Compute the RMS distance (M, C) [dB] of predicted spectra (M, C, FINE_BINS) from the simulated ones."""
     return _compute_rms(10.0 * np.log10(expected / references.spectra), references.mask_counted_bins())
 
 
 def compute_new_patch_distances_db(network: FieldNetwork, references: References) -> Float:
-    """Compute the distance (M,) [dB], averaged over conditions and reference patches, each with its own token."""
+    """Compute per material the distance (M,) [dB] of a field from the simulation on patches not trained on.
+
+    Averaged over conditions and patches; the field is given each patch's own token.
+    """
     patches_db = [
         compute_distances_db(references, predict_spectra(network, references, references.tokens[:, patch]))
         for patch in range(references.tokens.shape[1])
@@ -122,12 +129,12 @@ def compute_new_patch_distances_db(network: FieldNetwork, references: References
 
 
 def _compute_rms(level: Float, inside: NDArray[np.bool_]) -> Float:
-    """Return the RMS of level over the last axis, where inside is True."""
+    """Return the RMS of `level` over the last axis, counting only elements where `inside` is True."""
     return np.asarray(np.sqrt(np.where(inside, np.square(level), 0.0).sum(axis=-1) / inside.sum(axis=-1)))
 
 
 def save_references(path: Path, references: References) -> None:
-    """Write the simulated arrays as safetensors, without specimens and conditions. Raises FileError."""
+    """Write the simulated spectra and tokens as safetensors, without specimens and conditions. Raises FileError."""
     tensors: dict[str, NDArray[Any]] = {
         "tokens": references.tokens,
         "spectra": references.spectra,
@@ -137,7 +144,7 @@ def save_references(path: Path, references: References) -> None:
 
 
 def load_references(path: Path, specimens: Sequence[Specimen], conditions: Sequence[StrokeCondition]) -> References:
-    """Read the references of these specimens and conditions. Raises FileError if the file does not fit."""
+    """Read the simulated spectra of these materials and conditions. Raises FileError if the file does not fit."""
     try:
         tensors, _ = load_tensors(path.read_bytes())
         references = References(tuple(specimens), tuple(conditions), **tensors)
@@ -149,7 +156,7 @@ def load_references(path: Path, specimens: Sequence[Specimen], conditions: Seque
 
 
 def select_materials(references: References, materials: Sequence[int]) -> References:
-    """Return the references of some materials."""
+    """Return the simulated spectra of some materials, by index."""
     rows = list(materials)
     return replace(
         references,

@@ -1,8 +1,8 @@
 """Simulated training strokes: surfaces with tokens, random conditions of speed, force and direction, and their spectra.
 
-Surfaces are patches of the library's materials, instances of material classes, and random ones, some of which combine
-the long waves of one with the short waves of another. The contact simulator gives the acceleration of each steady
-stroke, whose window powers are pooled into the 107 observations that the likelihood uses.
+Surfaces are patches of the library's materials, random instances of material classes (wood, denim, …), and random ones,
+some of which combine the long waves of one with the short waves of another. The contact simulator gives the
+acceleration of each steady stroke, whose spectrum is pooled into the 107 densities that the likelihood uses.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Surface:
-    """A height map and its token. mechanics: of the material it comes from, None for any."""
+    """A height map to stroke, and its material token.
+
+    mechanics: stiffness, damping and friction of the material it comes from, None for a random surface.
+    """
 
     name: str
     maps: SmoothedMaps
@@ -48,17 +51,19 @@ class Surface:
 def make_surface(
     name: str, height: NDArray[np.float32], mechanics: Mechanics | None = None, encoder: str = ENCODER_ID
 ) -> Surface:
-    """Build a surface from a height map (one 20 mm tile): tactile map, then token by the encoder (a name or file)."""
+    """Build a surface from a height map (one 20 mm tile), with the token that an encoder gives it.
+
+    encoder: name or file.
+    """
     pitch = TILE_SIZE_M / height.shape[0]
     token = get_encoder(encoder).describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch)).values
     return Surface(name, SmoothedMaps(height, cache_size=4), token, mechanics)
 
 
 def make_random_surfaces(count: int, seed: int, workers: int = 1, encoder: str = ENCODER_ID) -> list[Surface]:
-    """Build surfaces from random recipes, every second one spliced from two.
+    """Build random surfaces, every second one with the long waves of one and the short waves of another.
 
-    Splicing reproduces tokens in use, which combine measured long waves of a bake with a library material's short
-    waves.
+    Tokens in use are combined like that: a baked height map gives the long waves, a library material the short ones.
     """
     rng = np.random.default_rng(seed)
     heights = []
@@ -76,9 +81,10 @@ def make_random_surfaces(count: int, seed: int, workers: int = 1, encoder: str =
 
 @dataclass(frozen=True)
 class Specimen:
-    """One material: a surface recipe with its mechanics.
+    """One material to train or evaluate on: a recipe for random height maps, with its mechanics.
 
-    name: unique. class_name: of simulation.material_classes. seed: of its first patch; later patches add their index.
+    name: unique. class_name: its class in simulation.material_classes. mechanics: stiffness, damping, friction. seed:
+    of its first patch; the seeds of later patches add their index.
     """
 
     name: str
@@ -89,7 +95,7 @@ class Specimen:
 
 
 def load_library_specimens(path: Path) -> list[Specimen]:
-    """Read the materials of a library file; each is named after its class."""
+    """Read the materials of a library file as specimens; each is named after its class."""
     return [
         Specimen(entry["name"], entry["name"], SurfaceRecipe.from_dict(entry["recipe"]),
                  Mechanics(**entry["mechanics"]), int(entry["seed"]))
@@ -98,7 +104,7 @@ def load_library_specimens(path: Path) -> list[Specimen]:
 
 
 def make_class_specimens(seeds: Sequence[int]) -> list[Specimen]:
-    """Return one instance of every class for each seed."""
+    """Return one random material of every material class for each seed."""
     return [
         Specimen(f"{name}/{seed}", name, *sample_instance(name, seed), derive_seed(f"{name}/{seed}"))
         for seed in seeds
@@ -109,7 +115,10 @@ def make_class_specimens(seeds: Sequence[int]) -> list[Specimen]:
 def make_patches(
     specimens: Sequence[Specimen], first: int, count: int, workers: int = 1, encoder: str = ENCODER_ID
 ) -> list[Surface]:
-    """Build patches first … first + count − 1 of every specimen; those of one specimen are adjacent."""
+    """Build height maps (patches) number first … first + count − 1 of every material.
+
+    Those of one material are adjacent in the result. encoder: of the token, a name or file.
+    """
     jobs: list[SurfaceJob] = [
         (specimen.name, height_map(specimen.recipe, specimen.seed + first + index), specimen.mechanics, encoder)
         for specimen in specimens
@@ -155,9 +164,10 @@ ANGLES_RAD = np.radians([10.0, 77.0, 33.0, 121.0, 154.0, 55.0])
 
 @dataclass(frozen=True)
 class SteadyStroke:
-    """One steady stroke.
+    """A straight stroke at constant speed and force.
 
-    surface: index. speed: index into make_speed_grid(). angle: [rad]. force: [N]. start: (x, y) [m].
+    surface: index of the surface. speed: index into make_speed_grid(). angle: direction [rad]. force: [N]. start: (x,
+    y) on the surface [m].
     """
 
     surface: int
@@ -170,19 +180,19 @@ class SteadyStroke:
 
 
 def make_speed_grid() -> Float:
-    """Return the speeds (SPEED_COUNT,) [m/s] of steady strokes."""
+    """Return the speeds (SPEED_COUNT,) [m/s] that simulated strokes are limited to."""
     return np.geomspace(*SPEED_RANGE_M_S, SPEED_COUNT)
 
 
 def make_force_grid() -> Float:
-    """Return the forces (FORCE_COUNT,) [N] of steady strokes."""
+    """Return the forces (FORCE_COUNT,) [N] that simulated strokes are limited to."""
     return np.geomspace(*FORCE_RANGE_N, FORCE_COUNT)
 
 
 def draw_steady_strokes(
     surfaces: Sequence[Surface], per_surface: int, seed: int, *, middle_share: float = 0.0
 ) -> list[SteadyStroke]:
-    """Draw per_surface conditions on each surface, log-uniform in speed and force, two thirds with the pen.
+    """Draw random steady strokes on each surface, log-uniform in speed and force, two thirds with the pen.
 
     A fraction middle_share keeps to the middle ranges, to the pen and to the surface's own mechanics. Directions are
     uniform over the circle, so that every direction lies between trained ones.
@@ -211,7 +221,10 @@ def draw_steady_strokes(
 
 
 def draw_mechanics(typical: Mechanics | None, rng: np.random.Generator) -> Mechanics:
-    """Draw the material's own mechanics (with 20 % scatter) or any, so that they cannot be inferred from the token."""
+    """Draw stiffness, damping and friction: the material's own (with 20 % scatter), or any.
+
+    Otherwise the network would infer them from the token.
+    """
     if typical is not None and rng.random() < MATERIAL_MECHANICS_SHARE:
         scatter = np.exp(0.2 * rng.standard_normal(3))
         return Mechanics(
@@ -240,7 +253,10 @@ def withhold_mechanics(mechanics: Mechanics, rng: np.random.Generator) -> Mechan
 
 @dataclass(frozen=True)
 class StrokeCondition:
-    """Condition of a steady stroke with the pen. speed: index into make_speed_grid(). force: [N]. angle: [rad]."""
+    """Speed, force and direction of a steady stroke with the pen.
+
+    speed: index into make_speed_grid(). force: [N]. angle: [rad].
+    """
 
     speed: int
     force: float
@@ -248,7 +264,7 @@ class StrokeCondition:
 
 
 def make_middle_conditions() -> list[StrokeCondition]:
-    """Return six conditions in the middle ranges, with directions between the tile's axes."""
+    """Return six conditions of medium speed and force, with directions between the height map's axes."""
     grid = make_speed_grid()
     return [
         StrokeCondition(int(np.argmin(np.abs(np.log(grid / speed)))), force, float(angle))
@@ -266,7 +282,7 @@ STROKES_PER_BATCH = 512
 
 
 def pool_bins(power: Float) -> Float:
-    """Pool window powers (…, 501) into (…, 107): fine bins, then the mean density of each coarse band."""
+    """Pool a window's spectrum (…, 501) into (…, 107): 100 bins of 10 Hz, then the mean densities of seven bands."""
     frequency = np.fft.rfftfreq(WINDOW_SAMPLES, 1.0 / SAMPLE_RATE_HZ)
     fine = power[..., 1 : FINE_BINS + 1]
     coarse = [
@@ -276,14 +292,14 @@ def pool_bins(power: Float) -> Float:
 
 
 def compute_bin_widths() -> Float:
-    """Return the width (107,) [Hz] of each observation; density times width sums to power."""
+    """Return the width (107,) [Hz] of the pooled bins and bands; density times width sums to power."""
     return np.concatenate([np.full(FINE_BINS, SAMPLE_RATE_HZ / WINDOW_SAMPLES), np.diff(COARSE_EDGES_HZ)])
 
 
 def record_strokes(
     surfaces: Sequence[Surface], strokes: Sequence[SteadyStroke], seconds: float, workers: int = 2
 ) -> Float:
-    """Simulate steady strokes and return their mean window power (n, 107), after DFT321 over the whole stroke.
+    """Simulate n steady strokes and return their mean spectra (n, 107), three axes fused to one by DFT321.
 
     The result does not depend on the number of workers.
     """
@@ -306,7 +322,7 @@ RecordingJob = tuple[list[Surface], list[SteadyStroke], float]
 
 
 def _make_job(surfaces: Sequence[Surface], strokes: list[SteadyStroke], seconds: float) -> RecordingJob:
-    """Return a batch with only the surfaces it needs, which are sent to its process."""
+    """Return a batch of strokes with only the surfaces it needs, to be sent to a worker process."""
     used = sorted({stroke.surface for stroke in strokes})
     index_of = {surface: index for index, surface in enumerate(used)}
     local_strokes = [
@@ -316,7 +332,7 @@ def _make_job(surfaces: Sequence[Surface], strokes: list[SteadyStroke], seconds:
 
 
 def _record_batch(job: RecordingJob) -> Float:
-    """Simulate a batch and return its mean window powers."""
+    """Simulate a batch of strokes and return their mean spectra (n, 107)."""
     surfaces, strokes, seconds = job
     speeds = make_speed_grid()
     acceleration = simulate_batch(

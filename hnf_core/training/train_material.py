@@ -1,8 +1,9 @@
 """Fit one field to recordings of one material: expected-power likelihood, AdamW with cosine annealing, early stopping.
 
-Recordings become windows, F_Θ is rendered over the states of each window, and the expected power is fitted by the
-Whittle likelihood (P. Whittle 1953), Σ log S + P / S with S expected and P recorded, least in expectation at S = E P.
-The paper's L_mag compares two random draws and learns a signal up to 2 dB too quiet (evaluated in tools/hnf_lab).
+Recordings are cut into windows of 0.1 s, F_Θ is evaluated at states of the hand in each window, and the spectrum it
+predicts is fitted by the Whittle likelihood (P. Whittle 1953), Σ log S + P / S with S expected and P recorded, least in
+expectation at S = E P. The paper's loss L_mag compares the magnitudes of two random draws and learns a signal up to 2
+dB too quiet (evaluated in tools/hnf_lab).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from ..datasets.recording import Recording
 from ..field.features import build_inputs
 from ..field.field import Field, FieldConfig, initial_parameters
 from ..field.linear_contact import Condition
-from ..field.temporal_rendering import STEP_S
+from ..field.render_weights import STEP_S
 from ..field.training_ranges import compute_training_ranges
 from ..files import content_hash
 from ..material.contact_model import UNKNOWN_MECHANICS, Mechanics
@@ -42,24 +43,25 @@ STATES_PER_CHUNK = 4096
 
 @dataclass(frozen=True)
 class RenderedInputs:
-    """Inputs of F_Θ at the s states that n windows need, and the rows of each window.
+    """Network inputs at the s hand states that n windows need, and which rows each window uses.
 
     Attributes
     ----------
     x
         (s, D) network inputs.
     prior, gate
-        (s, K).
+        (s, K) log amplitudes of the linear contact, and factor on the output.
     phase
         (s, K) phase of a carrier over one Δt [rad].
     speed
-        (s,) index into the tabulated speeds.
+        (s,) index into the speeds of make_speed_table.
     state_rows
-        (n, Q, P) rows of the above: node by past state (P = 1 for "heads").
+        (n, Q, P) rows of the arrays above, for Q evaluated states in a window and P past states of each (P = 1 for
+        "heads").
     alive
         (n, Q, P) 0 if that past state lies before the recording, else 1.
     share
-        (Q,) weight of each node.
+        (Q,) weight of each of the Q states in a window.
     """
 
     x: Tensor
@@ -73,7 +75,7 @@ class RenderedInputs:
 
 
 def make_speed_table(states: States) -> Float:
-    """Return the speeds (SPEED_NODES,) [m/s] that cover the states."""
+    """Return the speeds (SPEED_NODES,) [m/s] for which expected spectra are tabulated, covering those of the states."""
     moving = states.speed[states.speed > 1e-3]
     low, high = (float(moving.min()), float(moving.max())) if len(moving) else (0.01, 0.1)
     return np.geomspace(low, max(high, 1.01 * low), SPEED_NODES)
@@ -82,7 +84,7 @@ def make_speed_table(states: States) -> Float:
 def build_rendered_inputs(
     config: FieldConfig, states: States, windows: Windows, token: NDArray[np.float32], mechanics: Mechanics
 ) -> RenderedInputs:
-    """Compute everything that does not change during training."""
+    """Compute the network inputs for all windows, which do not change during training."""
     past = config.states if config.accumulation == "past" else 1
     state_index = windows.node[:, :, None] - config.stride * np.arange(past)
     alive = state_index >= windows.first[windows.node][:, :, None]
@@ -108,7 +110,10 @@ def build_rendered_inputs(
 
 
 class RenderedPower:
-    """Expected power of windows (rows, 107) for a network. speeds: from make_speed_table."""
+    """Computation of the spectra (rows, 107) that a network predicts for windows of the recordings.
+
+    speeds: from make_speed_table.
+    """
 
     def __init__(self, config: FieldConfig, speeds: Float) -> None:
         used = speeds if config.carriers.arc_count else speeds[:1]
@@ -118,7 +123,7 @@ class RenderedPower:
         self.arc = torch.tensor(arc, dtype=torch.float32)
 
     def __call__(self, network: FieldNetwork, inputs: RenderedInputs, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the expected power of some windows (rows, 107), and the raw α head for regularisation."""
+        """Return the predicted spectra (rows, 107) of the windows `rows`, and the α head's raw outputs."""
         carriers, states = self.config.carriers, inputs.state_rows[rows]
         flat = states.reshape(-1)
         head, sigma_dt = network.evaluate_heads(inputs.x[flat])
@@ -144,7 +149,7 @@ class RenderedPower:
 def _build_state_inputs(
     config: FieldConfig, states: States, rows: NDArray[np.int64], token: NDArray[np.float32], mechanics: Mechanics
 ) -> tuple[NDArray[np.float32], ...]:
-    """Compute x, prior and gate of the states in rows."""
+    """Compute the network inputs x, prior and gate of some of the states, by index."""
     condition = Condition(
         tokens=np.tile(token.astype(np.float64), (len(rows), 1)),
         mechanics=(mechanics,),
@@ -180,7 +185,7 @@ class Schedule:
     batch
         Windows per batch.
     learning_rate, decay
-        Of AdamW.
+        Learning rate and weight decay of AdamW.
     smoothness
         Weight on the squared second difference of log amplitude between neighbouring 10 Hz bands, per window: ten
         seconds near one speed and force do not determine a hundred bands.
@@ -199,7 +204,7 @@ class Schedule:
 
 @dataclass(frozen=True)
 class HeldOutMetrics:
-    """Metrics over the test windows.
+    """Metrics of a trained field over the test windows.
 
     Attributes
     ----------
@@ -208,15 +213,15 @@ class HeldOutMetrics:
     loss
         Negative log-likelihood per bin.
     distance_db
-        RMS difference between expected and recorded mean spectrum, over the bins in 20–1000 Hz within 30 dB of the
+        RMS difference between expected and recorded mean spectrum [dB], over the bins in 20–1000 Hz within 30 dB of the
         peak.
     bias_db
-        Expected over recorded total power.
+        Expected over recorded total power [dB].
     l_mag_share
         The paper's L_mag of the expected magnitudes, √(π S) / 2, over the recorded power; 0.215 is the optimum on
         Gaussian noise, 1 is silence.
     scatter_db
-        distance_db of a perfect model on Gaussian noise, 4.34 / √n.
+        distance_db of a perfect model on Gaussian noise, 4.34 / √windows.
     """
 
     windows: int
@@ -266,7 +271,7 @@ def train_material(
     schedule
         Hyperparameters.
     token, mechanics
-        Of the material, if known.
+        Token, and stiffness, damping and friction, of the material, if known.
     checkpoint
         File from which a killed run continues; it is removed when training ends.
     watch
@@ -299,7 +304,7 @@ def train_material(
 
 
 class _TrainingTask:
-    """Data and loss of a training, over rows of windows."""
+    """Data of a training run, and its loss over a subset of the windows."""
 
     def __init__(
         self, config: FieldConfig, schedule: Schedule, inputs: RenderedInputs, windows: Windows, expected: RenderedPower
@@ -310,21 +315,21 @@ class _TrainingTask:
         self.likelihood = WindowLikelihood(windows.counted_bins)
 
     def select_rows(self, role: int) -> Tensor:
-        """Return the windows of a role."""
+        """Return the indices of the windows with a role (TRAIN, VALIDATION or TEST)."""
         return torch.tensor(np.flatnonzero(self.role == role))
 
     def compute_loss(self, network: FieldNetwork, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the mean negative log-likelihood of rows, and the α head."""
+        """Return the mean negative log-likelihood of the windows `rows`, and the α head's outputs."""
         density, head = self.expected(network, self.inputs, rows)
         return self.likelihood(density + DENSITY_FLOOR, self.power[rows]), head
 
     def evaluate_loss(self, network: FieldNetwork, rows: Tensor) -> float:
-        """Return the mean loss of rows without gradients."""
+        """Return the mean loss of the windows `rows`, computed without gradients."""
         with torch.no_grad():
             return float(np.mean([float(self.compute_loss(network, chunk)[0]) for chunk in rows.split(1024)]))  # type: ignore[no-untyped-call]
 
     def compute_roughness(self, head: Tensor) -> Tensor:
-        """Return the mean squared second difference of log amplitude over the fine time bands."""
+        """Return the mean squared second difference of log amplitude between neighbouring 10 Hz bands."""
         fine = self.config.carriers.time_slice.start + 1
         bands = head[..., fine : fine + FINE_BINS - 1]
         return (bands[..., 2:] - 2.0 * bands[..., 1:-1] + bands[..., :-2]).square().mean()
@@ -353,7 +358,10 @@ def _compute_test_metrics(task: _TrainingTask, network: FieldNetwork, windows: W
 
 
 def _make_initial_parameters(config: FieldConfig, windows: Windows, seed: int) -> dict[str, NDArray[np.float32]]:
-    """Return initial parameters; without physics every band starts at its mean over the training windows."""
+    """Return the network's initial parameters.
+
+    Without the linear contact (config.physics) every band starts at its mean power over the training windows.
+    """
     parameters = initial_parameters(config, seed)
     if config.physics or config.emission != "log":
         return parameters
@@ -387,7 +395,7 @@ def _train_epochs(
     fingerprint: str,
     watch: ProgressCallback | None,
 ) -> tuple[FieldNetwork, Float]:
-    """Run the epochs from the start or the checkpoint; return the best network and the history."""
+    """Run the epochs from parameters `start` or the checkpoint; return the best network and the losses per epoch."""
     schedule, train, validation = task.schedule, task.select_rows(TRAIN), task.select_rows(VALIDATION)
     network = FieldNetwork(task.config, start)
     optimiser = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=schedule.decay)
@@ -428,7 +436,7 @@ def _train_epochs(
 
 
 def _find_best_epoch(history: Float) -> int:
-    """Return the epoch number with the lowest validation loss, 0 before the first."""
+    """Return the number of the epoch with the lowest validation loss, 0 if there was none yet."""
     return int(np.argmin(history[:, 2])) + 1 if len(history) else 0
 
 
@@ -439,7 +447,7 @@ def _make_checkpoint(
     best: dict[str, NDArray[np.float32]],
     history: Float,
 ) -> Checkpoint:
-    """Collect weights, optimiser state, best weights and random state."""
+    """Collect weights, optimiser state, best weights, random state and losses in a checkpoint."""
     tensors: dict[str, NDArray[np.generic]] = {f"best.{name}": value for name, value in best.items()}
     for name, parameter in network.named_parameters():
         tensors[f"network.{name}"] = parameter.detach().numpy()
@@ -452,7 +460,7 @@ def _make_checkpoint(
 def _restore_checkpoint(
     checkpoint: Checkpoint, network: FieldNetwork, optimiser: torch.optim.Optimizer, generator: torch.Generator
 ) -> dict[str, NDArray[np.float32]]:
-    """Restore network, optimiser and random state; return the best weights so far."""
+    """Restore network, optimiser and random state in place; return the best weights so far."""
     stored = checkpoint.tensors
     with torch.no_grad():
         for name, parameter in network.named_parameters():
@@ -470,7 +478,7 @@ def _restore_checkpoint(
 
 
 def _compute_fingerprint(task: _TrainingTask, seed: int) -> str:
-    """Hash data, architecture, schedule, seed and versions, which a checkpoint must agree in."""
+    """Hash data, architecture, schedule, seed and versions, which must be the same to continue from a checkpoint."""
     words = repr((task.config, task.schedule, seed, torch.__version__, np.__version__))
     arrays = (task.power, task.inputs.x, task.inputs.state_rows, task.likelihood.weight)
     return content_hash(words, *(array.numpy().tobytes() for array in arrays))

@@ -1,4 +1,4 @@
-"""Train the shipped weights on simulated strokes over many materials, and compare them with long simulations."""
+"""Train the shared field, whose weights are shipped, on simulated strokes over many materials, and evaluate it."""
 
 from __future__ import annotations
 
@@ -53,18 +53,19 @@ SHARED_CONFIG = FieldConfig(hidden=256, line_gains=True, stroke_frame=True)
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """Data and hyperparameters of a shared field.
+    """Amount of data and hyperparameters for training a shared field.
 
     Attributes
     ----------
     sizes, schedule
         Amounts of data, and hyperparameters.
     variants
-        Variants of a stroke's input with its own patch, see build_training_set.
+        Number of network inputs per stroke with its own token but different mechanics withheld, see build_training_set.
     alternative_patches
-        Variants with other patches of the same material.
+        Number of network inputs per stroke with the token of another patch of the same material.
     encoders
-        Further encoders (names or files) whose tokens of those other patches the field is trained on as well.
+        Further encoders (image to token; names or files): the field is also trained on the tokens they give for those
+        other patches.
     """
 
     sizes: Sizes = field(default_factory=Sizes)
@@ -106,7 +107,7 @@ def train_shared_field(
     workers
         Number of processes.
     held_out
-        Classes to leave out; the field's metadata names them.
+        Material classes to leave out; the field's metadata names them.
 
     Returns
     -------
@@ -137,7 +138,10 @@ def describe_field(
     plan: TrainingPlan,
     seed: int,
 ) -> Field:
-    """Build the field with its metadata, training ranges and distance from the references (one row a specimen)."""
+    """Build the field of a trained network, with metadata, training ranges and its distance from the simulation.
+
+    references: long simulations to compare with, one row per material (specimen).
+    """
     distance = compute_new_patch_distances_db(network, references)
     metrics = (
         f"average spectrum, {len(distance)} materials x {len(references.conditions)} conditions, tokens of patches not "
@@ -175,7 +179,7 @@ def fit_shared_field(
     Parameters
     ----------
     training_data
-        Strokes and their spectra.
+        Simulated strokes and their spectra.
     plan
         Variants and hyperparameters.
     config
@@ -212,7 +216,7 @@ def load_or_build_training_data(
 ) -> TrainingData:
     """Read the training data from the cache, or simulate and store it.
 
-    The cache is valid for the same simulator, library, sizes and seed.
+    The cache is used only for the same simulator code, library, sizes and seed.
     """
     path = cache / f"strokes-{_compute_cache_key(library.read_bytes(), plan.sizes, seed)}.safetensors"
     if path.exists():
@@ -238,7 +242,7 @@ def load_or_encode_tokens(
 def load_or_simulate_references(
     specimens: Sequence[Specimen], conditions: Sequence[StrokeCondition], seed: int, cache: Path, workers: int
 ) -> References:
-    """Return the long-run references, from the cache if possible."""
+    """Return the long simulations that a field is compared with, from the cache if possible."""
     path = cache / f"references-{_compute_cache_key(b'', (list(specimens), list(conditions)), seed)}.safetensors"
     if path.exists():
         return load_references(path, specimens, conditions)
@@ -248,7 +252,10 @@ def load_or_simulate_references(
 
 
 def collect_training_ranges(data: TrainingData, seconds: float) -> TrainingRanges:
-    """Return the ranges that the strokes cover."""
+    """Return the ranges of speed, force, direction, token and mechanics that the strokes cover.
+
+    seconds: duration of a stroke.
+    """
     speeds = make_speed_grid()
     actions = [
         make_steady_action(seconds, float(speeds[s.speed]), s.force, s.angle, s.probe)

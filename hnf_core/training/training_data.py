@@ -1,4 +1,4 @@
-"""Training data of the shared field: surfaces, simulated strokes over them and their spectra, stored between runs."""
+"""Training data of the shared field: surfaces, simulated strokes over them and their spectra; kept in files."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ MATERIALS_PER_BATCH = 8
 
 @dataclass(frozen=True)
 class Sizes:
-    """Amounts of training data.
+    """Amounts of training data for the shared field.
 
     Attributes
     ----------
     instances
-        Of every class, besides the library's own.
+        Random materials of every material class, besides those of the library.
     patches
-        Stroked patches per material.
+        Patches (height maps) per material on which strokes are simulated.
     described
-        Further patches per material, with a token but without strokes.
+        Further patches per material, of which only the token is computed.
     strokes
         Strokes per patch.
     middle_share
         Fraction of them in the middle ranges of speed and force.
     random
-        Surfaces of no material.
+        Random surfaces that belong to no material.
     random_strokes
         Strokes on each of these.
     seconds
@@ -69,20 +69,20 @@ class Sizes:
 
 @dataclass(frozen=True)
 class TrainingData:
-    """Surfaces, strokes over them and the observed spectra.
+    """Surfaces, simulated strokes over them and the spectra of these.
 
     Attributes
     ----------
     names, classes
-        Of each material, in words.
+        Name of each material and of its class.
     material
         (surfaces,) index of the material, −1 for a surface of no material.
     tokens
-        (surfaces, TOKEN_DIM).
+        (surfaces, TOKEN_DIM) token of each surface.
     strokes
         Steady strokes, each on one of the surfaces.
     power
-        (strokes, 107) observed densities.
+        (strokes, 107) spectral densities of the strokes: 100 bins of 10 Hz, then seven wider bands.
     """
 
     names: tuple[str, ...]
@@ -97,12 +97,12 @@ class TrainingData:
         return self.material[[stroke.surface for stroke in self.strokes]]
 
     def select_strokes(self, rows: NDArray[np.bool_]) -> TrainingData:
-        """Return the same surfaces with some of the strokes."""
+        """Return the same surfaces with only the strokes that the mask `rows` (strokes,) selects."""
         strokes = tuple(stroke for stroke, row in zip(self.strokes, rows, strict=True) if row)
         return replace(self, strokes=strokes, power=self.power[rows])
 
     def draw_alternative_patches(self, rng: np.random.Generator) -> list[int]:
-        """Draw for every stroke another surface of the same material; its own if there is no other."""
+        """Draw for every stroke the index of another surface of the same material; its own if there is no other."""
         surfaces_by_material = {index: np.flatnonzero(self.material == index) for index in range(len(self.names))}
         drawn = []
         for stroke in self.strokes:
@@ -113,12 +113,12 @@ class TrainingData:
 
 
 def load_specimens(library: Path, sizes: Sizes) -> list[Specimen]:
-    """Return the library's materials, then the instances of every class."""
+    """Return the materials to train on: the library's, then random ones of every material class."""
     return load_library_specimens(library) + make_class_specimens(range(1, sizes.instances + 1))
 
 
 def build_training_data(specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int = 2) -> TrainingData:
-    """Simulate all surfaces and strokes; the result depends on the seed, not on the number of workers."""
+    """Build all surfaces and simulate strokes over them; the result does not depend on the number of workers."""
     surfaces = make_patches(specimens, 0, sizes.patches, workers)
     stroked_count = len(surfaces)
     surfaces += make_random_surfaces(sizes.random, seed, workers)
@@ -165,7 +165,7 @@ _COLUMNS = ("surface", "stiffness", "damping", "friction", "probe", "speed", "an
 
 
 def save_training_data(path: Path, data: TrainingData) -> None:
-    """Write as safetensors; the mechanics of every stroke must be known. Raises FileError."""
+    """Write training data as safetensors; the mechanics of every stroke must be known. Raises FileError."""
     table = np.array(
         [
             (s.surface, s.mechanics.stiffness_n_m, s.mechanics.damping_ratio, s.mechanics.friction,

@@ -1,4 +1,4 @@
-"""Cut recordings into windows of 1000 samples: observed spectra, the states that caused them, and an 8/1/1 split.
+"""Cut recordings into windows of 1000 samples: their spectra, the hand's states in them, and an 8/1/1 split.
 
 No window crosses the border between training, validation and test data.
 """
@@ -37,22 +37,22 @@ STEADY_CHANGE = 0.35
 
 @dataclass(frozen=True)
 class Windows:
-    """Observed windows of all recordings, n of them, over the states of `States`.
+    """The n windows of all recordings: spectra, and the states of the hand (rows of `States`) that belong to each.
 
     Attributes
     ----------
     power
         (n, 107) observed spectral density [(m/s²)²/Hz].
     counted_bins
-        (107,) bool, False above the bandwidth of the recordings.
+        (107,) bool, False for bins and bands above the bandwidth of the recordings.
     node
-        (n, Q) index of each state at which the field is evaluated.
+        (n, Q) indices of the Q states in each window at which the field is evaluated.
     node_weight
-        (Q,) weight of the squared Hann window at each node; the sum is 1.
+        (Q,) weight of each of the Q states, that of the squared Hann window there; the sum is 1.
     role
         (n,) TRAIN, VALIDATION or TEST.
     first
-        (states,) index of the first state of the same recording, beyond which memory does not reach.
+        (states,) index of the first state of the same recording, before which there are no past states.
     """
 
     power: Float
@@ -65,7 +65,7 @@ class Windows:
 
 @dataclass(frozen=True)
 class States:
-    """States of all recordings, end to end, on which the field is conditioned; one row a state in every array."""
+    """States of the hand (200 Hz) in all recordings, end to end; every array has a row per state."""
 
     direction: Float
     speed: Float
@@ -75,10 +75,11 @@ class States:
 
 
 def cut_windows(recordings: Sequence[Recording]) -> tuple[States, Windows]:
-    """Cut recordings of one material and one probe into windows, at any sample rates.
+    """Cut recordings, of one material and one probe and at any sample rates, into windows of 1000 samples at 10 kHz.
 
-    Roles continue from one recording to the next, so that short recordings are split too. Raises UsageError if probes
-    differ, or if no window is left to train or to validate on.
+    Of ten successive windows eight are for training, one for validation, one for testing; counting continues from one
+    recording to the next, so that short recordings are split too. Raises UsageError if probes differ, or if no window
+    is left to train or to validate on.
     """
     probes = {recording.action.probe for recording in recordings}
     if len(probes) != 1:
@@ -125,7 +126,10 @@ def cut_windows(recordings: Sequence[Recording]) -> tuple[States, Windows]:
 
 
 def find_role_runs(first_slot: int, count: int) -> list[tuple[int, int, int]]:
-    """Return (role, low, high) of the longest runs of slots low … high − 1 of a recording that have one role."""
+    """Return runs of successive windows with the same role (training, validation, test), as (role, low, high).
+
+    A run holds windows low … high − 1 of a recording; first_slot: number of windows in the recordings before.
+    """
     runs: list[tuple[int, int, int]] = []
     for slot in range(count):
         role = ROLES[(first_slot + slot) % len(ROLES)]
@@ -137,7 +141,7 @@ def find_role_runs(first_slot: int, count: int) -> list[tuple[int, int, int]]:
 
 
 def _choose_nodes(states: States, start: NDArray[np.int64], known: frozenset[str]) -> tuple[NDArray[np.int64], Float]:
-    """Return the nodes (n, Q) of each window and their weights (Q,).
+    """Return the indices (n, Q) of the states at which each window is evaluated, and their weights (Q,).
 
     The middle state alone if the action changes slowly, else NODES_PER_WINDOW states.
     """
@@ -165,7 +169,7 @@ def _compute_direction_changes(direction: Float) -> Float:
 
 
 def _find_counted_bins(recordings: Sequence[Recording]) -> NDArray[np.bool_]:
-    """Return the bins (107,) below 0.9 of the lowest Nyquist frequency."""
+    """Return a mask (107,) of the spectrum's bins below 0.9 of the recordings' lowest Nyquist frequency."""
     upper_edge = np.cumsum(compute_bin_widths())
     rate = min(recording.sample_rate for recording in recordings)
     return np.asarray(upper_edge <= 0.45 * rate) if rate < MODEL_RATE_HZ else np.ones(len(upper_edge), dtype=bool)

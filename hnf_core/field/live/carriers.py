@@ -1,10 +1,10 @@
-"""Carriers under a live hand, computed ahead in slices so that no step waits for a block of noise.
+"""Noise carriers under a live hand, computed ahead in small parts so that no 5 ms step waits for a noise block.
 
-`LiveTimeCarriers` renders the time carriers at the model's rate (upsampling stored half rates would need future
-amplitudes), and spreads a block's bands over the steps until it is needed. `LiveArcCarriers` stores the hops of
-noise_cache.get_arc_hop where the hand is and where it goes next: at most one hop is made in a step, before the hand
-arrives. After a jump a step makes its hops at once. There are no threads, because a busy one holds the interpreter for
-milliseconds at a time.
+`LiveTimeCarriers` renders the time carriers (noise bands in time) at the model's rate (upsampling stored half rates
+would need future amplitudes), and spreads a block's bands over the steps until it is needed. `LiveArcCarriers` stores
+the noise along the path (in hops, stretches of fixed length, as noise_cache.get_arc_hop) where the hand is and where it
+goes next: at most one hop is made in a step, before the hand arrives. After a jump a step must make all it needs. There
+are no threads, because a busy one holds the interpreter for milliseconds at a time.
 """
 
 from __future__ import annotations
@@ -57,9 +57,10 @@ BANDS_PER_STEP = 3
 
 
 class LiveTimeCarriers:
-    """Time carriers of a seed, ready to start at sample 0.
+    """Time carriers (noise bands in time) for one seed, with the first blocks made, ready to start at sample 0.
 
-    Block j covers samples j · HOP_SIZE … (j + 2) · HOP_SIZE. at_once: number of blocks that a step had to wait for.
+    Block j covers samples j · HOP_SIZE … (j + 2) · HOP_SIZE. at_once: number of blocks that were not made ahead, so
+    that a step had to wait for them.
     """
 
     def __init__(self, carriers: Carriers, seed: int) -> None:
@@ -75,7 +76,7 @@ class LiveTimeCarriers:
         return len(self._ready) + (self._making is not None)
 
     def mix(self, weights: Single, first: int, count: int) -> Single:
-        """Compute weights (m, B) @ the bands' samples first … first + count − 1, (m, count)."""
+        """Compute m weighted sums of the B bands, weights (m, B) @ samples first … first + count − 1; (m, count)."""
         out = np.empty((len(weights), count), dtype=np.float32)
         sample, end = first, first + count
         while sample < end:
@@ -88,9 +89,9 @@ class LiveTimeCarriers:
         return out
 
     def prepare(self, sample: int, spare: bool = True) -> None:
-        """Do one step's share of the work ahead, in whole bands and as evenly as possible.
+        """Render one 5 ms step's share of the next noise block ahead of time, in groups of bands.
 
-        spare: False if the step has no time left; then the work is postponed once.
+        sample: the present one. spare: False if the step has no time left; then the work is postponed once.
         """
         block = sample // HOP_SIZE
         missing = next((index for index in (block, block - 1, block + 1) if index not in self._ready), None)
@@ -110,13 +111,13 @@ class LiveTimeCarriers:
             self._store(builder)
 
     def _start(self, index: int) -> _BlockBuilder:
-        """Return the builder of a block, a new one if another block was being built."""
+        """Return the builder of block number `index`, a new one if another block was being built."""
         if self._making is None or self._making.index != index:
             self._making = _BlockBuilder(self._seed, self._carriers, index, self._allocate())
         return self._making
 
     def _allocate(self) -> Single:
-        """Return memory for a block, that of the last evicted block if it was not shared."""
+        """Return an array for a block's waves, that of the last evicted block if no other synthesis shares it."""
         evicted, self._left = self._left, None
         return (
             np.empty((self.bands, TIME_BLOCK), np.float32)
@@ -125,13 +126,13 @@ class LiveTimeCarriers:
         )
 
     def _store(self, making: _BlockBuilder) -> None:
-        """Store a finished block and evict the farthest."""
+        """Store a finished block, and evict those farthest from it in time."""
         self._ready[making.index], self._making, self._owed = making.waves, None, 0.0
         while len(self._ready) > CACHED_BLOCKS:
             self._left = self._ready.pop(max(self._ready, key=lambda other: abs(other - making.index)))
 
     def _get_block(self, index: int) -> Single:
-        """Return a block; complete it at once if it is missing."""
+        """Return the waves (B, TIME_BLOCK) of block number `index`; complete it at once if it is missing."""
         if index not in self._ready:
             builder = self._start(index)
             while builder.left:
@@ -142,7 +143,10 @@ class LiveTimeCarriers:
 
 
 class _BlockBuilder:
-    """Block under construction. left: number of remaining band groups, each of about the same work."""
+    """Noise block under construction, rendered one group of bands at a time.
+
+    left: number of remaining groups, each of about the same work.
+    """
 
     def __init__(self, seed: int, carriers: Carriers, index: int, waves: Single) -> None:
         self._seed, self._parts, self.index, self.waves = seed, _group_bands(carriers), index, waves
@@ -159,7 +163,7 @@ class _BlockBuilder:
 
 
 class _BandGroup(NamedTuple):
-    """Bands that are rendered together."""
+    """Noise bands that are rendered together, with their FFT bins and wave tables."""
 
     bands: slice
     bins: Bins
@@ -168,7 +172,7 @@ class _BandGroup(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _group_bands(carriers: Carriers) -> tuple[_BandGroup, ...]:
-    """Group the bands: broad ones, which take an FFT each, alone, and narrow ones by BANDS_PER_STEP."""
+    """Group the bands into parts of equal work: broad ones, which need an FFT, alone; narrow ones by BANDS_PER_STEP."""
     bins = make_bins(carriers.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
     plan = make_wave_plan(bins.starts, block_window(TIME_BLOCK, 1))
     narrow, groups, low = set(plan.narrow.tolist()), [], 0
@@ -183,7 +187,7 @@ def _group_bands(carriers: Carriers) -> tuple[_BandGroup, ...]:
 
 @lru_cache(maxsize=CACHED_STARTS)
 def _draw_initial_blocks(seed: int, carriers: Carriers) -> Mapping[int, Single]:
-    """Return the blocks that overlap at sample 0, and the one before."""
+    """Return the noise blocks needed first, by number: those that overlap at sample 0, and the one before."""
     blocks = {}
     for index in (-2, -1, 0):
         builder = _BlockBuilder(seed, carriers, index, np.empty((carriers.time_count, TIME_BLOCK), np.float32))
@@ -211,7 +215,9 @@ _CACHED_ARC_BLOCKS = 3
 
 
 class LiveOctave:
-    """Noise of one octave around the hand. hops: by their number.
+    """Noise along the path of one octave of arc carriers, kept around the hand's position.
+
+    hops: stretches of the path by their number, (24, ARC_HOP_CELLS) each.
 
     Memory is reused, because touching fresh pages takes longer than writing to them.
     """
@@ -222,7 +228,7 @@ class LiveOctave:
         self._blocks: dict[int, Waves] = {}
 
     def make(self, hop: int) -> None:
-        """Make a hop as noise_cache.get_arc_hop; the farthest one is evicted."""
+        """Make the noise of hop number `hop`, as noise_cache.get_arc_hop; the farthest one is evicted."""
         arc_hop = _evict_farthest(self.hops, hop, CACHED_HOPS) or ArcHop.from_waves(
             np.empty((ARC_PER_OCTAVE, ARC_HOP_CELLS), np.complex64)
         )
@@ -230,7 +236,7 @@ class LiveOctave:
         self.hops[hop] = arc_hop
 
     def _get_block(self, number: int) -> Waves:
-        """Return a block, drawn if it is missing."""
+        """Return noise block `number` (24, ARC_BLOCK_CELLS), drawn if it is missing."""
         if number not in self._blocks:
             buffer = _evict_farthest(self._blocks, number, _CACHED_ARC_BLOCKS)
             buffer = np.empty((ARC_PER_OCTAVE, ARC_BLOCK_CELLS), np.complex64) if buffer is None else buffer
@@ -241,12 +247,15 @@ class LiveOctave:
 
 
 def _evict_farthest(cache: dict[int, CachedItem], wanted: int, most: int) -> CachedItem | None:
-    """Remove and return the item farthest from `wanted` if the cache holds `most`, else return None."""
+    """Remove and return the item with the number farthest from `wanted` if the cache holds `most` items, else None."""
     return cache.pop(max(cache, key=lambda other: abs(other - wanted))) if len(cache) >= most else None
 
 
 class LiveArcCarriers:
-    """Arc carriers of a seed, ready to start at s = 0. at_once: number of hops that a step had to wait for."""
+    """Arc carriers (noise bands along the path) for one seed, ready to start at path position s = 0.
+
+    at_once: number of hops (stretches of the path) that were not made ahead, so that a step had to wait for them.
+    """
 
     def __init__(self, carriers: Carriers, seed: int) -> None:
         self._carriers, self.at_once = carriers, 0
@@ -260,16 +269,16 @@ class LiveArcCarriers:
 
     @cached_property
     def _reader(self) -> ArcReader:
-        """Reader of the kernel, built when first used because a field may have no arc carriers."""
+        """Compiled reader of the carriers, built when first used because a field may have no arc carriers."""
         return ArcReader(build_hop_tables(self._carriers), _FRACTIONS)
 
     @property
     def cached_hops(self) -> int:
-        """Number of hops in memory."""
+        """Number of hops (stretches of noise along the path) in memory, of all octaves."""
         return sum(len(octave.hops) for octave in self._kept)
 
     def prepare(self, position: float, speed: float) -> bool:
-        """Make the missing hop that the hand reaches first, and all that it reaches within URGENT_STEPS.
+        """Make the missing stretch of noise (hop) that the hand reaches first, and all it reaches within URGENT_STEPS.
 
         position: s [m]. speed: ds/dt [m/s]. Returns whether any hop was missing.
         """
@@ -305,7 +314,7 @@ class LiveArcCarriers:
         return self._reader.read(kernel, octaves, position, self._get_hop).astype(np.float64)
 
     def _get_hop(self, octave: int, hop: int) -> ArcHop:
-        """Return a hop, made at once if it is missing."""
+        """Return an octave's noise in hop number `hop`, made at once if it is missing."""
         live_octave = self._kept[octave]
         if hop not in live_octave.hops:
             live_octave.make(hop)
@@ -313,7 +322,7 @@ class LiveArcCarriers:
         return live_octave.hops[hop]
 
     def _read_numpy(self, pair: Single, octaves: Sequence[int], position: Float) -> Float:
-        """Read all octaves at once in numpy."""
+        """Compute Σ_k A_k c_k(s) of all given octaves at once in numpy; arguments as of `read`."""
         cell_position = position * np.array([[self._per_m[octave]] for octave in octaves])
         floored = np.floor(cell_position)
         cell, low, high = (

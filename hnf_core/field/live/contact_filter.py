@@ -44,7 +44,7 @@ HISTORY_STATES = -(-(TAIL_SAMPLES + len(STATE_CURVE) - 1) // SAMPLES_PER_STATE)
 
 
 class LiveContactFilter:
-    """Filter from force states to the probe's acceleration, two states later.
+    """Filter from the pressing force, one value per 5 ms state, to the probe's acceleration two states later.
 
     One state of delay is that of every state, the other is due to the spline of the force (stroke.evaluate_bspline),
     which needs the state beyond. Spline and response are linear, so that a step is a product of HISTORY_STATES forces
@@ -88,13 +88,13 @@ class LiveContactFilter:
         return out
 
     def _response_table(self, load: Load) -> Float:
-        """Return the response to a load, computed if it is missing."""
+        """Return the response table of a material under a load, computed if it is missing."""
         if load not in self._tables:
             self._tables[load] = _compute_response_table(self._mechanics[load[0]], self._probe, load[1])
         return self._tables[load]
 
     def _blend_responses(self, force: float, material: int) -> Blend:
-        """Return the two responses next to this load, with their weights."""
+        """Return the response tables at the two tabulated loads next to `force` [N], with their weights."""
         position = LOADS_PER_OCTAVE * math.log2(max(force, 2.0**MIN_FORCE_OCTAVE))
         level = math.floor(position)
         fraction = position - level
@@ -104,7 +104,10 @@ class LiveContactFilter:
 
 @lru_cache(maxsize=CACHED_RESPONSES)
 def _compute_response_table(mechanics: Mechanics, probe: Probe, level: int) -> Float:
-    """Compute the acceleration (HISTORY_STATES, SAMPLES_PER_STATE) that 1 N in one state causes from its step on."""
+    """Compute the acceleration (HISTORY_STATES, SAMPLES_PER_STATE) that 1 N in one state causes from its step on.
+
+    level: number of the tabulated load, which is 2^(level / LOADS_PER_OCTAVE) N.
+    """
     kernel = compute_causal_response(mechanics, probe, 2.0 ** (level / LOADS_PER_OCTAVE))
     response = np.fft.irfft(
         np.fft.rfft(kernel, RESPONSE_PERIOD) * np.fft.rfft(STATE_CURVE, RESPONSE_PERIOD), RESPONSE_PERIOD
@@ -115,7 +118,7 @@ def _compute_response_table(mechanics: Mechanics, probe: Probe, level: int) -> F
 
 
 def compute_causal_response(mechanics: Mechanics, probe: Probe, force: float) -> Float:
-    """Compute the response to pressing at a load, (TAIL_SAMPLES,), from t = 0 on; no DC, and nothing above 4.8 kHz."""
+    """Compute the causal impulse response (TAIL_SAMPLES,) of acceleration to pressing, at a load `force` [N]."""
     frequency = np.fft.rfftfreq(RESPONSE_PERIOD, 1.0 / MODEL_RATE_HZ)
     periodic = np.fft.irfft(
         force_response(frequency, mechanics, probe, force) * _minimum_phase_taper(), RESPONSE_PERIOD
@@ -134,7 +137,7 @@ def compute_causal_response(mechanics: Mechanics, probe: Probe, force: float) ->
 
 @lru_cache(maxsize=1)
 def _minimum_phase_taper() -> Spectrum:
-    """Return contact_filter's taper with minimum phase, (RESPONSE_PERIOD // 2 + 1,)."""
+    """Return the low-pass taper (4 to 4.8 kHz) of contact_filter with minimum phase, (RESPONSE_PERIOD // 2 + 1,)."""
     size = _FINE * RESPONSE_PERIOD
     frequency = np.fft.rfftfreq(size, 1.0 / MODEL_RATE_HZ)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.clip((frequency - 4000.0) / 800.0, 0.0, 1.0))

@@ -1,8 +1,8 @@
-"""F_Θ of one state within a fraction of its 5 ms, by the kernel or in numpy.
+"""Evaluation of F_Θ for a single state of the hand, in a fraction of its 5 ms, by the compiled kernel or in numpy.
 
 Everything that depends on token, mechanics and probe alone is computed once per material, and all angles of the
-surface's spectrum are evaluated at once. The references are field.evaluate, surface_spectrum.py and linear_contact.py,
-term by term; results differ by float32 rounding.
+surface's spectrum are evaluated at once. The same formulas, for many states at once, are in field.evaluate,
+surface_spectrum.py and linear_contact.py; results differ by float32 rounding.
 """
 
 from __future__ import annotations
@@ -69,10 +69,10 @@ _TAPS = np.arange(2)[:, None]
 
 @dataclass(frozen=True)
 class ProjectedSpectrum:
-    """Power of three projections of one surface.
+    """Power along a stroke of one surface, under three weightings of its waves.
 
-    noise: (3, Ka). lines: (3, 2, lines) in the two arc bands about each tone. low: (lines,) index of the lower one,
-    which may lie outside.
+    noise: (3, Ka) per arc band (band of wavenumber). lines: (3, 2, lines) of tones, in the two arc bands about each.
+    low: (lines,) index of the lower of the two, which may lie outside 0 … Ka − 1.
     """
 
     noise: Float
@@ -81,7 +81,7 @@ class ProjectedSpectrum:
 
 
 class LiveSurfaceSpectrum:
-    """Spectrum of one material's token (TOKEN_DIM,), ready to be projected onto any direction."""
+    """Height spectrum of one material, from its token (TOKEN_DIM,), ready to be projected onto any stroke direction."""
 
     def __init__(self, token: Float, carriers: Carriers) -> None:
         bands, count = len(BAND_WAVELENGTHS_M), carriers.arc_count
@@ -102,7 +102,10 @@ class LiveSurfaceSpectrum:
         self._weighted, self._moved = np.zeros((3, count + 1)), np.empty((3, *self._source.shape))
 
     def project(self, angle: float, weight: Float) -> ProjectedSpectrum:
-        """Compute three projections onto a stroke at angle [rad]. weight: (3, Ka) filter of each at |κ|."""
+        """Compute the power along a stroke at `angle` [rad], under three weightings of the surface's waves.
+
+        weight: (3, Ka) factors on the power of waves per band of their wavenumber |κ|.
+        """
         two, four = self._moments * np.exp(angle * _ROTATION_EXPONENTS)
         axis = 0.25 * np.arctan2(four.imag, four.real)
         along = 0.5 * (1.0 + (two * np.exp(-2j * axis)).real)
@@ -128,12 +131,15 @@ class LiveSurfaceSpectrum:
         )
 
     def _spread_over_wavenumbers(self, power: Float) -> Float:
-        """Spread powers per token band over |κ| (Ka,)."""
+        """Spread powers (bands,) per octave band of the token over the finer arc bands (Ka,)."""
         level = np.log(np.maximum(power, 1e-30) / ARC_PER_OCTAVE)
         return np.asarray(np.exp(level[self._below] * (1.0 - self._share) + level[self._below + 1] * self._share))
 
     def _density(self, two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float) -> Float:
-        """Return the angular density (ANGLES / 2, bands) at δ plus that at π − δ, which shift the spectrum alike."""
+        """Return the angular density of waves at angle δ to the stroke plus that at π − δ, (ANGLES / 2, bands).
+
+        Both have the same wavenumber along the stroke.
+        """
         oriented = np.minimum(np.square(four.real) + np.square(four.imag), 1.0)
         series = 1.0 + two.real * _TWO.real - two.imag * _TWO.imag + four.real * _FOUR.real - four.imag * _FOUR.imag
         turned = np.cos(2.0 * (_ANGLE - axis))
@@ -146,10 +152,10 @@ class LiveSurfaceSpectrum:
 
 @dataclass(frozen=True)
 class LinearState:
-    """Linear contact of one state, as LinearContact.
+    """What the linear contact predicts for one state of the hand, as LinearContact for many.
 
-    power, noise: (Ka,). normal, resonance: numbers. lines: (2, lines). low: (lines,). gain: (Ka,) arc_gain at its
-    speed.
+    power, noise: (Ka,) per arc band. normal, resonance: numbers. lines: (2, lines) tone power. low: (lines,). gain:
+    (Ka,) fade at the limits of the audible band, arc_gain at its speed.
     """
 
     power: Float
@@ -162,7 +168,7 @@ class LinearState:
 
 
 class LiveLinearContact:
-    """Linear contact of one material under one probe."""
+    """Linear contact of one material under one probe, evaluated state by state."""
 
     def __init__(self, token: Float, mechanics: Mechanics, probe: Probe, carriers: Carriers) -> None:
         self._of = token, carriers
@@ -174,13 +180,13 @@ class LiveLinearContact:
 
     @cached_property
     def _spectrum(self) -> LiveSurfaceSpectrum:
-        """Spectrum of the surface; built lazily because only `evaluate` needs it."""
+        """Height spectrum of the surface; built lazily because only `evaluate` needs it."""
         return LiveSurfaceSpectrum(*self._of)
 
     def contact_columns(self, angle: float, speed: float, force: float) -> tuple[tuple[float, ...], float]:
-        """Return the columns CONTACT_COLUMNS of a state, and its resonance [Hz].
+        """Return a state's contact parameters in the order of CONTACT_COLUMNS, and the contact's resonance [Hz].
 
-        angle: [rad]. speed: [m/s] and force: [N], not below their floors.
+        angle: direction of the stroke [rad]. speed: [m/s] and force: [N], not below their floors.
         """
         probe, tip_radius = self._probe, self._probe.tip_radius_m
         surface = self._surface * force ** (1.0 / 3.0)
@@ -194,7 +200,10 @@ class LiveLinearContact:
         return (angle, speed, radius, stiffness, damping, probe.mass_kg, leaning, rubbed, flank), resonance
 
     def evaluate(self, angle: float, speed: float, force: float) -> LinearState:
-        """Compute the linear contact of a state in numpy; arguments as of contact_columns."""
+        """Compute the linear contact of a state in numpy.
+
+        angle: direction of the stroke [rad]. speed: [m/s] and force: [N], not below their floors.
+        """
         touch, resonance = self.contact_columns(angle, speed, force)
         radius, stiffness, damping, mass, leaning, rubbed, flank = touch[2:]
         gain, wave = arc_gain(self._kappa, np.array([speed]))[0], self._wave
@@ -229,7 +238,7 @@ class LiveLinearContact:
 
 
 class TimeBandPower:
-    """Computation of time_band_power for one state at a time."""
+    """Conversion of power per arc band to power per time band, for one state at a time."""
 
     def __init__(self, carriers: Carriers) -> None:
         self._edges = time_edges_in_arc_bands(carriers)
@@ -256,16 +265,16 @@ _SYMMETRY_ORDERS = np.repeat([2.0, 4.0], _BANDS)
 
 
 class LiveEmission:
-    """F_Θ for one material: by the kernel if it supports the field, else in numpy.
+    """Evaluator of F_Θ on one material, state by state, by the kernel if it supports the field, else in numpy.
 
     Parameters
     ----------
     field
         The field.
     token
-        (TOKEN_DIM,) of the material.
+        (TOKEN_DIM,) descriptor of the material.
     mechanics
-        Of the same material.
+        Its stiffness, damping and friction.
     probe
         Name of the probe.
 
@@ -283,7 +292,7 @@ class LiveEmission:
         self.evaluate((1.0, 0.0), 0.0, 0.0, contact=False)  # Builds the evaluator now, so that no touch waits for it.
 
     def evaluate(self, direction: Direction, speed: float, force: float, contact: bool) -> tuple[Float, Float]:
-        """Return α (K,), 0 at rest and out of contact, and σΔt (N,); the next call may overwrite both.
+        """Return the amplitudes α (K,), 0 at rest and in the air, and σΔt (N,); the next call may overwrite both.
 
         direction: unit vector. speed: [m/s]. force: [N].
         """
@@ -307,7 +316,7 @@ class LiveEmission:
 
 
 class NumpyEmission:
-    """F_Θ of one state in numpy. token: (1, TOKEN_DIM)."""
+    """Evaluator of F_Θ on one material in numpy, state by state. token: (1, TOKEN_DIM)."""
 
     def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
         config, carriers = field.config, field.config.carriers
@@ -332,9 +341,10 @@ class NumpyEmission:
     def evaluate(
         self, direction: Direction, angle: float, pace: float, load: float, moving: float
     ) -> tuple[Float, Float]:
-        """Return α and σΔt as LiveEmission.evaluate.
+        """Return the amplitudes α (K,) and σΔt (N,) of one state.
 
-        pace, load: speed and force, not below their floors. moving: gate 0 … 1.
+        angle: of `direction` [rad]. pace, load: speed [m/s] and force [N], not below their floors. moving: factor on α,
+        0 at rest to 1.
         """
         carriers = self._carriers
         linear = None if self._linear is None else self._linear.evaluate(angle, pace, load)
@@ -389,7 +399,7 @@ class NumpyEmission:
         return x
 
     def _decode(self, head: Float, linear: LinearState | None, time_power: Float | None) -> Float:
-        """Return the amplitudes (K,) before the gate."""
+        """Return the amplitudes (K,) from the α head's outputs, before the factor for rest and contact."""
         config, carriers = self._config, self._carriers
         gains = head[-LINE_GAIN_COUNT:] if config.line_gains else None
         alpha = head[:-LINE_GAIN_COUNT] if config.line_gains else head
@@ -410,7 +420,7 @@ class NumpyEmission:
 
 
 class CompiledEmission:
-    """F_Θ of one state by the kernel. token: (1, TOKEN_DIM)."""
+    """Evaluator of F_Θ on one material by the kernel, state by state. token: (1, TOKEN_DIM)."""
 
     def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
         skip = np.asarray(field.parameters["skip"], dtype=np.float32)
@@ -422,7 +432,10 @@ class CompiledEmission:
     def evaluate(
         self, kernel: CDLL, direction: Direction, angle: float, pace: float, load: float, moving: float
     ) -> tuple[Float, Float]:
-        """Return α and σΔt as NumpyEmission.evaluate; the next call overwrites α."""
+        """Return the amplitudes α (K,) and σΔt (N,) of one state; the next call overwrites α.
+
+        Arguments as of NumpyEmission.evaluate.
+        """
         touch, resonance = self._linear.contact_columns(angle, pace, load)
         motion = (*direction, pace, load, self._mass, resonance, moving)
         alpha, sigma = self._state.evaluate(kernel, motion, touch)
@@ -440,7 +453,7 @@ def _multiply(weight: Single, hidden: Single) -> Single:
 
 
 def _compute_line_power(gains: Float, linear: LinearState, count: int) -> Float:
-    """Compute linear_contact.compute_line_power of one state, (count,)."""
+    """Compute the power of tones per arc carrier for one state, (count,), as linear_contact.compute_line_power."""
     level = 0.5 * np.log(linear.lines + LINE_FLOOR_M_S2**2)
     gain = gains.reshape(len(HARMONICS), 1, LINE_COUNT) + _START
     power = np.exp(2.0 * np.minimum(gain + level, LOG_AMPLITUDE_CEILING))

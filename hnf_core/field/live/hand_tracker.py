@@ -27,7 +27,7 @@ from ..stroke import LIMITS
 
 @dataclass(frozen=True)
 class LiveState:
-    """State of a hand; fields as in Action.
+    """State of a hand at one moment: one sample of an Action.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class LiveState:
     force
         [N].
     contact
-        True on the surface.
+        True if the hand touches the surface.
     material
         Index of the material.
 
@@ -66,7 +66,7 @@ class LiveState:
                 )
 
     def _bounded_values(self) -> Iterator[tuple[str, float]]:
-        """Yield the values that LIMITS bound, by their names there."""
+        """Yield (name, values) of every quantity that LIMITS bounds."""
         yield from (("direction", value) for value in self.direction)
         yield "speed [m/s]", self.speed
         yield "position [m]", self.position
@@ -106,7 +106,7 @@ class HandEvent:
 
 
 class HandTracker:
-    """Converter of events to states, with bounded memory."""
+    """Converter of irregular pen and mouse events to states every 5 ms, with bounded memory."""
 
     def __init__(self) -> None:
         self._events: deque[HandEvent] = deque(maxlen=MAX_EVENTS)

@@ -57,18 +57,18 @@ _HERMITE = np.stack(
 
 
 class LiveSynthesis:
-    """Synthesis of M materials under a hand.
+    """Synthesis, state by state, of the vibration of M materials under a moving hand.
 
     The same states and seed give the same bytes. Before the first state the hand is in the air. Memory does not grow.
 
     Parameters
     ----------
     field
-        The field, with past states.
+        The field, which must accumulate over past states.
     tokens
-        (M, TOKEN_DIM) of the materials.
+        (M, TOKEN_DIM) descriptors of the materials.
     mechanics
-        (M,) of the same materials.
+        (M,) stiffness, damping and friction of the same materials.
     seed
         Seed of the carriers.
     probe
@@ -129,7 +129,7 @@ class LiveSynthesis:
 
     @property
     def cached_blocks(self) -> int:
-        """Number of noise blocks in memory: at most seven blocks in time and four hops of each octave."""
+        """Number of noise blocks in memory: at most seven in time and four along the path of each octave."""
         return self._noise.cached_blocks + self._arcs.cached_hops
 
     @property
@@ -167,7 +167,7 @@ class LiveSynthesis:
         return out
 
     def prepare(self) -> None:
-        """Make noise for the states to come, one state's share of the work.
+        """Make noise for the states to come, the share of the work that falls to one 5 ms state.
 
         Call it between two steps if there is time, so that the next step is faster; otherwise step() begins with it.
         """
@@ -196,7 +196,7 @@ class LiveSynthesis:
         return np.zeros(SAMPLES_PER_STATE)
 
     def _accumulate(self, state: LiveState) -> Float:
-        """Compute the amplitudes (K,), Σ_n w_n α over the past states, as field.accumulate."""
+        """Compute the amplitudes (K,), Σ_n w_n α over the past states, as field.accumulate does for a whole stroke."""
         emitted, density, stride = self._emitted, self._density, self._config.stride
         alpha, sigma = self._emission[state.material].evaluate(state.direction, state.speed, state.force, state.contact)
         if not self._remembers:
@@ -212,7 +212,7 @@ class LiveSynthesis:
         return np.asarray(weights @ emitted[::stride])
 
     def _fade(self, contact: bool) -> Float | None:
-        """Return the fade (SAMPLES_PER_STATE,) of this state's samples; None if it is 1 throughout."""
+        """Return the fade after a lift, a gain (SAMPLES_PER_STATE,) on this state's samples; None if it is all 1."""
         before = self._audible
         if contact and before == 0.0:
             self._pressing.reset()  # A decaying response that was faded out must not return with the new touch.
@@ -225,7 +225,7 @@ class LiveSynthesis:
         return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * STATE_FRACTIONS)) ** 2)
 
     def _render_carriers(self, travel: float) -> Float:
-        """Render all carriers between the previous state and this one."""
+        """Render all noise carriers between the previous state and this one; travel: path length in between [m]."""
         carriers, pair, out = self._carriers, self._pair, np.zeros(SAMPLES_PER_STATE)
         if not pair.any():
             return out
@@ -236,9 +236,9 @@ class LiveSynthesis:
         return out
 
     def _render_arc_carriers(self, pair: NDArray[np.float32], travel: float) -> Float:
-        """Compute Σ_k A_k c_k(s(t)). pair: (2, octaves, 24).
+        """Compute Σ_k A_k c_k(s(t)) over the arc carriers. pair: (2, octaves, 24) amplitudes at two states.
 
-        An octave that the hand has become too fast for fades out at a standing position.
+        An octave that would alias because the hand has become too fast fades out, at a position that is held.
         """
         lowest = BAND_END_HZ / max(travel * ACTION_RATE_HZ, 1e-12)
         active = np.flatnonzero(pair.any(axis=(0, 2))).tolist()
@@ -252,7 +252,7 @@ class LiveSynthesis:
         return out
 
     def _interpolate_position(self) -> Float:
-        """Return s (SAMPLES_PER_STATE,) [m] from the previous state to this one."""
+        """Return the path position s (SAMPLES_PER_STATE,) [m] from the previous state to this one."""
         oldest, older, old, new = self._places
         return np.asarray(
             _HERMITE @ [old, 1.5 * old - 2.0 * older + 0.5 * oldest, new, 1.5 * new - 2.0 * old + 0.5 * older]

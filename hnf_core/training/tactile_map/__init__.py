@@ -1,5 +1,6 @@
 """Train D_φ, the diffusion network that predicts a tactile map from images and depth.
 
-Rendered pairs become augmented batches (`batches`), a torch network (`map_network`) learns to denoise slopes, and
-`validation` measures it on held-out splits. Read `train_map` first. Inference is in hnf_core.tactile.diffusion.
+Rendered pairs of photograph and touch become augmented batches for a torch network that learns to denoise surface
+slopes (`map_network`); `train_map` trains it and measures it on held-out data. Read `train_map` first. Inference is in
+hnf_core.tactile.diffusion.
 """

@@ -1,4 +1,4 @@
-"""D_φ in torch, its training batches and losses, and sampling with it.
+"""D_φ, the diffusion network that predicts tactile maps, in torch: its training batches, losses and sampling.
 
 The network computes the same as hnf_core.tactile.diffusion.unet does in numpy. Batches hold views under random
 symmetries, with a random sensor and some of the appearance dropped.
@@ -25,7 +25,7 @@ Array = NDArray[np.float32]
 
 
 class Block(nn.Module):
-    """Residual block (He et al. 2016), group norm and SiLU before each convolution; FiLM (Perez et al. 2018)."""
+    """Residual block (He et al. 2016) of a U-Net: group norm and SiLU before each convolution, modulated by FiLM."""
 
     def __init__(self, size: int, config: MapConfig) -> None:
         super().__init__()
@@ -46,7 +46,7 @@ class Block(nn.Module):
 
 
 class Attention(nn.Module):
-    """Self-attention over all pixels of the coarsest level (8 × 8)."""
+    """Self-attention over all pixels at the U-Net's coarsest resolution (8 × 8)."""
 
     def __init__(self, size: int, config: MapConfig) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class Attention(nn.Module):
 
 
 class MapNetwork(nn.Module):
-    """U-Net of D_φ that predicts v of the slopes and of the level.
+    """U-Net that predicts the diffusion target v of a map's slopes, and of its level, the log RMS slope.
 
     Inputs are images (n, 6, 64, 64) and conditions (n, condition_size), outputs v of slopes (n, 2, 64, 64) and of the
     level (n,).
@@ -92,7 +92,7 @@ class MapNetwork(nn.Module):
         _zero_weights(self.level[1])
 
     def forward(self, images: Tensor, conditions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return v of slopes (n, 2, 64, 64) and of the level (n,)."""
+        """Return the diffusion target v of the slopes (n, 2, 64, 64) and of the level, the log RMS slope (n,)."""
         embedding = functional.silu(self.embed[1](functional.silu(self.embed[0](conditions))))
         x = self.enter(functional.pixel_unshuffle(images, 2).contiguous(memory_format=torch.channels_last))
         skips = []
@@ -132,11 +132,12 @@ def _zero_weights(layer: nn.Module) -> None:
 
 
 def compute_losses(network: MapNetwork, batch: Batch, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Return the mean squared errors of v (regression: of x) of the pattern and of the level.
+    """Return the mean squared errors of the diffusion target v, of the slope pattern and of the level.
 
-    The diffusion steps of a batch are spread evenly over the schedule from a random start, which lowers the variance of
-    the loss (Kingma et al. 2021). The level is one number with one noise value, not an image: as a constant image its
-    noise would average out, and it would be known before the denoising began.
+    The level is the log RMS slope; a regression network predicts slopes and level themselves instead of v. The
+    diffusion steps of a batch are spread evenly over the schedule from a random start, which lowers the variance of the
+    loss (Kingma et al. 2021). The level gets one noise value: as a constant image with noise per pixel it could be read
+    from the mean.
     """
     config = network.config
     count = len(batch)
@@ -162,7 +163,7 @@ def compute_losses(network: MapNetwork, batch: Batch, rng: np.random.Generator) 
 def run_network(
     network: MapNetwork, batch: Batch, noisy: Array, level: Array, bars: NDArray[np.float64]
 ) -> tuple[Tensor, Tensor]:
-    """Run the network on a batch with noisy slopes (n, 2, 64, 64) and levels (n,) at ᾱ = bars (n,)."""
+    """Run the network on a batch with noisy slopes (n, 2, 64, 64) and levels (n,), at signal fractions ᾱ = bars."""
     images = np.concatenate([noisy, batch.appearance.images], axis=1)
     conditions = build_condition(
         log_snr(bars),
@@ -177,14 +178,14 @@ def run_network(
 
 
 def normalise_level(batch: Batch, config: MapConfig) -> Array:
-    """Return the levels (n,) in the network's normalisation."""
+    """Return the views' levels (n,), log10 RMS slopes, shifted and scaled as the network expects."""
     return np.asarray((batch.log_rms - config.level_mean) / config.level_scale, dtype=np.float32)
 
 
 def sample_slopes(network: MapNetwork, batch: Batch, seed: int, steps: int) -> tuple[Array, Array]:
     """Predict slopes (n, 2, 64, 64) of unit RMS and log10 RMS (n,) for a batch, as tactile.diffusion.predict does.
 
-    Diffusion gives a sample of the slopes and the median level, regression the mean of both.
+    A diffusion network gives a random sample of the slopes and the median level, a regression network the mean of both.
     """
     rng = np.random.default_rng(seed)
     config, count = network.config, len(batch)
@@ -225,7 +226,7 @@ RGB_DROPOUT = 0.1
 
 @dataclass(frozen=True)
 class Batch:
-    """One batch of n views.
+    """One training batch of n views (photographs) and the surface slopes in each.
 
     Attributes
     ----------
@@ -236,7 +237,7 @@ class Batch:
     appearance
         Images and scalars that D_φ is conditioned on.
     pitch_index, sensor_index
-        (n,).
+        (n,) index of the view's pixel size and of the simulated touch sensor.
     """
 
     slopes: Array
@@ -250,7 +251,7 @@ class Batch:
 
 
 def make_training_batch(pairs: Pairs, rows: NDArray[np.int64], rng: np.random.Generator) -> Batch:
-    """Return a batch with a random symmetry and sensor for each view, and depth and colour dropped at random."""
+    """Return a batch with a random flip or rotation and sensor per view, and depth and colour dropped at random."""
     count = len(rows)
     sensor = rng.integers(0, pairs.slopes.shape[1], count)
     depth_known, rgb_known = rng.random(count) >= DEPTH_DROPOUT, rng.random(count) >= RGB_DROPOUT
@@ -258,7 +259,7 @@ def make_training_batch(pairs: Pairs, rows: NDArray[np.int64], rng: np.random.Ge
 
 
 def make_fixed_batch(pairs: Pairs, rows: NDArray[np.int64], sensor: int, *, depth_known: bool = True) -> Batch:
-    """Return a batch of unchanged views, for validation."""
+    """Return a batch of unchanged views for validation, with slopes as one sensor measures them."""
     all_known = np.ones(len(rows), dtype=bool)
     zero = np.zeros(len(rows), dtype=np.int64)
     return _assemble_batch(pairs, rows, zero + sensor, zero, all_known & depth_known, all_known)
@@ -306,7 +307,7 @@ def _assemble_batch(
 
 
 def compute_level_statistics(pairs: Pairs) -> tuple[float, float]:
-    """Return mean and standard deviation of log_rms over all views and sensors."""
+    """Return mean and standard deviation of the log10 RMS slope over all views and sensors."""
     levels = [
         np.log10(max(float(np.sqrt(np.mean(np.square(slopes, dtype=np.float32)))), RMS_FLOOR))
         for view in pairs.slopes

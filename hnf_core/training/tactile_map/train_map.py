@@ -1,7 +1,7 @@
-"""Train D_φ on rendered pairs within a budget of steps or minutes, and write its weights with their metrics.
+"""Train D_φ on rendered pairs of photograph and touch, within a budget of steps or minutes, and write its weights.
 
-A killed run continues from its checkpoint. Validation measures the distance of predictions from views that were not
-trained on.
+D_φ predicts tactile maps from photographs. A killed run continues from its checkpoint. Validation compares predictions
+with the true maps of views that were not trained on.
 """
 
 from __future__ import annotations
@@ -45,16 +45,18 @@ VIEWS_PER_BATCH = 32
 
 @dataclass(frozen=True)
 class Distance:
-    """Distances on one split.
+    """Errors of predicted maps on one split of the data.
 
     Attributes
     ----------
     pattern_loss, level_loss
-        Mean squared error of v (regression: of x).
+        Mean squared error of the diffusion target v (regression: of the values themselves), for the slope pattern and
+        for the level, the log RMS slope.
     level_db
-        Median absolute error of the predicted RMS slope; None if no map was predicted.
+        Median absolute error of the predicted RMS slope [dB]; None if no map was predicted.
     band_db
-        Median absolute error of a token band's slope power, over views and their four bands; None likewise.
+        Median absolute error of the slope power in an octave of wavelength [dB], over views and four octaves; None
+        likewise.
     """
 
     pattern_loss: float
@@ -63,7 +65,7 @@ class Distance:
     band_db: float | None = None
 
     def describe(self) -> str:
-        """Format the distances as text."""
+        """Format the errors as text."""
         words = f"loss {self.pattern_loss:.4f} + level {self.level_loss:.4f}"
         if self.level_db is None:
             return words
@@ -71,7 +73,7 @@ class Distance:
 
 
 def draw_batches(pairs: Pairs, views: int, seed: int) -> list[Batch]:
-    """Draw views without repetition as batches, with the sensors in turn."""
+    """Draw `views` random views without repetition as validation batches, which use the touch sensors in turn."""
     rows = np.random.default_rng(seed).permutation(len(pairs))[:views]
     batches = [rows[start : start + VIEWS_PER_BATCH] for start in range(0, len(rows), VIEWS_PER_BATCH)]
     return [make_fixed_batch(pairs, batch_rows, index % len(PAIR_SENSORS)) for index, batch_rows in enumerate(batches)]
@@ -80,7 +82,7 @@ def draw_batches(pairs: Pairs, views: int, seed: int) -> list[Batch]:
 def measure_distances(
     network: MapNetwork, splits: Mapping[str, Pairs], views: int, seed: int, steps: int | None
 ) -> dict[str, Distance]:
-    """Measure the distance on `views` views of every split.
+    """Measure the error of predicted maps on `views` views of every split.
 
     steps: diffusion steps for predicting maps; None predicts none.
     """
@@ -91,7 +93,7 @@ def measure_distances(
 
 
 def compute_band_powers(slopes: Array) -> NDArray[np.float64]:
-    """Compute the slope power (n, OCTAVES) of slopes (n, 2, 64, 64) in octaves, Hann-windowed.
+    """Compute the power (n, OCTAVES) of slopes (n, 2, 64, 64) in octaves of wavelength, under a Hann window.
 
     The octaves are centred on wavelengths of 25.6, 12.8, 6.4 and 3.2 pixels.
     """
@@ -147,11 +149,11 @@ class MapTrainingPlan:
     warm_up
         Steps of linear warm-up.
     decay, clip
-        Weight decay, and largest gradient norm.
+        Weight decay, and gradient norm above which gradients are scaled down.
     ema
         Decay of the averaged weights.
     level_weight
-        Weight of the level's loss beside the pattern's.
+        Weight of the loss of the level (log RMS slope) relative to that of the slope pattern.
     seed
         Seed of initialisation, batches and noise.
     threads
@@ -189,7 +191,7 @@ class MapTrainingPlan:
 
 @dataclass(frozen=True)
 class FitResult:
-    """Result of `fit_map`: config with the level's scale filled in, averaged weights, cost and held-out distances."""
+    """Result of `fit_map`: architecture with the levels' mean and scale, averaged weights, cost, held-out errors."""
 
     config: MapConfig
     parameters: dict[str, NDArray[np.float32]]
