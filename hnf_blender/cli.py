@@ -26,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run_touch(arguments: argparse.Namespace) -> int:
-    """Run `hnf touch`: synthesise the strokes of a scene and write them to files."""
+    """Run `hnf touch`: synthesize the strokes of a scene and write them to files."""
     from hnf_core.cli.touch import make_touch_request
 
     request = make_touch_request(arguments)
@@ -46,7 +46,10 @@ def run_touch(arguments: argparse.Namespace) -> int:
 
 
 def run_export(arguments: argparse.Namespace) -> int:
-    """Run `hnf export`; without bpy, formats that need the scene's geometry are not available."""
+    """Run `hnf export`: convert a signal to another format.
+
+    Without bpy, formats that need the scene's geometry are not available.
+    """
     from hnf_core.cli import export
 
     without_blender = importlib.util.find_spec("bpy") is None
@@ -54,7 +57,7 @@ def run_export(arguments: argparse.Namespace) -> int:
 
 
 def read_scene_surface(path: Path, provenance: Mapping[str, str], object_name: str | None) -> TouchedSurface:
-    """Open a scene file and return the surface that a signal was recorded on.
+    """Open a scene file and return the surface that a signal's stroke touched.
 
     Parameters
     ----------

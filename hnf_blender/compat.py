@@ -22,7 +22,7 @@ def version_text() -> str:
 
 
 def beside_the_file() -> set[str]:
-    """Return the `options` of a path property whose value may begin with "//".
+    """Return the `options` of a path property whose value may begin with "//" (relative to the .blend).
 
     Blender 4.5 and later warn if the option is missing; earlier versions do not know it.
     """
@@ -30,9 +30,9 @@ def beside_the_file() -> set[str]:
 
 
 def use_multilayer_exr(render: Any) -> None:
-    """Set the render output to a float32 multilayer EXR, so that no compositor is needed for the passes.
+    """Set the render output to a float32 multilayer EXR, so that passes can be read without a compositor.
 
-    It is not compressed: the file is read once and deleted, and ZIP took a sixth of a close-up's time.
+    It is not compressed: the file is read once and deleted, and ZIP took a sixth of a close-up render's time.
     """
     settings = render.image_settings
     if hasattr(settings, "media_type"):  # 5.0: the file format enum depends on it
@@ -79,7 +79,7 @@ def fcurves_of(id_data: Any) -> list[Any]:
 
 
 def _channelbag(action: Any, slot: Any) -> Any:
-    """Return the channel bag of a slot, or None.
+    """Return the channel bag (F-curves) of an action's slot, or None.
 
     Blender so far supports only one layer with one keyframe strip.
     """
@@ -92,7 +92,7 @@ def _channelbag(action: Any, slot: Any) -> Any:
 
 
 def working_space() -> str:
-    """Return the colour space in which shaders compute, "" for Linear Rec.709.
+    """Return the color space in which shaders compute, "" for Linear Rec.709.
 
     Linear Rec.709 is the only one before 5.0.
     """
@@ -127,7 +127,7 @@ def fcurves_of_slot(action: Any, strip: Any) -> list[Any]:
 
 
 def own_action(animated: Any) -> None:
-    """Give a datablock that shares its action, such as a copy of another, a copy of it in the same slot."""
+    """Give a datablock that shares its action with others a copy of the action, in the same slot."""
     animation = getattr(animated, "animation_data", None)
     if animation is None or animation.action is None:
         return
@@ -141,7 +141,7 @@ def own_action(animated: Any) -> None:
 def show_in_sequencer(workspace: Any, scene: Any) -> None:
     """Show a scene in the workspace's sequencers if they show none yet.
 
-    Up to 4.5 they show the window's scene, and nothing is done.
+    Up to Blender 4.5 sequencers show the window's scene, and nothing is done.
     """
     if workspace is not None and hasattr(workspace, "sequencer_scene") and workspace.sequencer_scene is None:
         workspace.sequencer_scene = scene
@@ -168,7 +168,7 @@ def new_compositor(scene: Any) -> tuple[Any, Any]:
 
 
 def write_exr_from(tree: Any, socket: Any, folder: str, stem: str) -> None:
-    """Add a compositor node that writes a float32 socket to folder/STEM*FRAME.exr."""
+    """Add a compositor node that writes a socket as float32 EXR to the file folder/STEM*FRAME.exr."""
     node = tree.nodes.new("CompositorNodeOutputFile")
     use_exr(node.format)
     if hasattr(node, "file_output_items"):  # 5.0

@@ -1,6 +1,7 @@
-"""Application handlers that record changes to the file; a timer then updates the statuses of strokes.
+"""Application handlers that record changes to the .blend; a timer then updates the statuses of strokes.
 
-Handlers themselves only note what changed. Nothing is registered in background mode, where there is no window.
+A status says whether a stroke's bake is still valid. Handlers themselves only note what changed. Nothing is registered
+in background mode, where there is no window.
 """
 
 from __future__ import annotations

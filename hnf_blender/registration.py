@@ -34,7 +34,7 @@ def unregister_modules(registered: list[Any]) -> None:
 
 
 def collect_classes(package: str, modules: Iterable[str]) -> tuple[Any, ...]:
-    """Return the CLASSES of a package's sub-modules, in order; all are imported before any is registered."""
+    """Return the entries of CLASSES of a package's sub-modules, in order; all are imported before any is registered."""
     return tuple(cls for name in modules for cls in importlib.import_module(f".{name}", package).CLASSES)
 
 

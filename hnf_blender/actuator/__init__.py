@@ -1,4 +1,4 @@
-"""Play strokes on an actuator: from Blender's window to a child process that streams to the device.
+"""Play strokes on an actuator: from Blender's window to a child process that streams samples to the device.
 
 This file holds the timer's tick, the handlers and the registration; read `player_client.py` first.
 """

@@ -20,7 +20,7 @@ VIRTUAL = "virtual"
 
 
 class Phase(Enum):
-    """Phase of the player.
+    """Phase of the child process that plays on an actuator.
 
     OFF: no process. OPENING: it starts, or opens the device. READY: no device is open. LIVE: it follows the pen.
     """
@@ -34,7 +34,7 @@ class Phase(Enum):
 
 
 class Output(NamedTuple):
-    """Target, as `hnf stream --to` takes it, and the title of an output."""
+    """A device to play on: its target text, as `hnf stream --to` takes it, and its title."""
 
     target: str
     title: str

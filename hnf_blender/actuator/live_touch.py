@@ -1,7 +1,7 @@
 """Touch surfaces live: contact points and forces of a pen → commands to the player.
 
-The path over surfaces in space is unrolled onto one plane, since the field takes a direction and a speed.
-Nothing here depends on Blender's window.
+The path over surfaces in space is unrolled onto one plane, since the haptic field (the network that gives the
+vibration) takes a direction and a speed. Nothing here depends on Blender's window.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class SurfaceUnroll:
-    """Distance travelled along a surface's own axes, (2,) [m].
+    """Distance traveled along the axes of the touched surfaces, summed onto one plane, (2,) [m].
 
     Lifting the pen and setting it down elsewhere adds none.
     """
@@ -59,7 +59,7 @@ def force_from_pressure(pressure: float, is_pen: bool, pen_force_n: float, mouse
 
 
 class LivePlayer(Protocol):
-    """Player that follows a pen; implemented by `player_client.PlayerClient`."""
+    """Protocol of a player that follows a pen; implemented by `player_client.PlayerClient`."""
 
     def live_material(self, material: MaterialFile) -> None:
         """Change the material under the pen."""
@@ -74,7 +74,7 @@ class LiveTouch:
     """State of one live session, from its start to its end."""
 
     def __init__(self, player: LivePlayer, material: MaterialFile) -> None:
-        """Begin with `material`, with which the player was started."""
+        """Begin with the haptic material with which the player was started."""
         self._player = player
         self._unroll = SurfaceUnroll()
         self._last_touched: tuple[str, int, int] | None = None

@@ -63,7 +63,7 @@ class PlayerClient:
         self._reset()
 
     def _reset(self, problem: str = "") -> None:
-        """Forget the process and its state."""
+        """Forget the child process and its state; `problem` is why it ended, "" for none."""
         self._process = None
         self.problem = problem
         """Why nothing plays any more, one sentence; "" if playback just ended."""
@@ -159,7 +159,7 @@ class PlayerClient:
         self.is_live = True
 
     def live_material(self, material: MaterialFile) -> None:
-        """See `live_touch.LivePlayer`."""
+        """Change the material under the pen."""
         if self._output_spec is None:
             raise UsageError("no live touch is running that could take this material.")
         path = self._new_file(".hnf")
@@ -169,7 +169,7 @@ class PlayerClient:
         self._send(command, partial(write_hnf, path, material))
 
     def live_move(self, time_s: float, position_m: tuple[float, float], force_n: float) -> None:
-        """See `live_touch.LivePlayer`."""
+        """Move the pen to `position_m` (x, y) [m] at `time_s` on the pen's clock [s], pressed with `force_n` [N]."""
         if self.is_live:
             self._send(Move(time_s, *position_m, force_n))
 
@@ -180,7 +180,10 @@ class PlayerClient:
     # ---- reports
 
     def tick(self) -> bool:
-        """Process the reports since the last call; return True if there were any. Does nothing without a process."""
+        """Process the reports of the child process since the last call; return True if there were any.
+
+        Does nothing without a process.
+        """
         process = self._process
         if process is None:
             return False
@@ -249,7 +252,7 @@ class PlayerClient:
     # ---- commands
 
     def _can_swap_to(self, sound: Sound, where: OutputSpec) -> bool:
-        """Return whether the playing sound can be replaced by `sound` without reopening the device."""
+        """Return whether the playing sound can be replaced by `sound` without reopening the device `where`."""
         playing = self._sound
         is_same_format = (
             playing is not None
@@ -259,7 +262,7 @@ class PlayerClient:
         return is_same_format and self.is_sounding
 
     def _is_opening(self, where: OutputSpec) -> bool:
-        """Return whether the device is being opened; the newest sound requested meanwhile waits for it."""
+        """Return whether the device `where` is being opened; the newest sound requested meanwhile waits for it."""
         return self._playing and not self.is_live and self.current_status is None and self._output_spec == where
 
     def _start_playback(self, sound: Sound, where: OutputSpec) -> None:
@@ -294,7 +297,7 @@ class PlayerClient:
 
 
 def make_output_spec(target: str, profile: ActuatorProfile) -> OutputSpec:
-    """Return a target and the limits that hold there, as the player process takes them."""
+    """Return a target and an actuator profile in the form that the player process takes."""
     if profile.name != USER_PROFILE_NAME:
         return OutputSpec(target, profile.name)
     low, high = profile.range_hz or (0.0, 0.0)
@@ -329,7 +332,7 @@ def get_phase(client: PlayerClient) -> Phase:
 
 
 def describe_playback(client: PlayerClient) -> tuple[str, ...]:
-    """Return lines of text about the newest play; only notable values are mentioned."""
+    """Return lines of text about the playback; only notable values, such as underruns, are mentioned."""
     latest, began = client.current_status, client.began
     if latest is None:
         return ()

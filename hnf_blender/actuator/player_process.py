@@ -37,7 +37,7 @@ EXIT_GRACE_S = 1.0
 
 
 class LineProcess:
-    """Child process with line-based pipes; threads read and write, so every method returns at once."""
+    """Child process that exchanges lines of text over pipes; threads read and write, so all methods return at once."""
 
     def __init__(self, command: Sequence[str]) -> None:
         """Start the process. Raises DeviceError if the system refuses."""
@@ -108,7 +108,7 @@ class LineProcess:
             self._wait_for_exit(on_exit)
 
     def kill(self) -> None:
-        """Kill the process without a chance to clean up."""
+        """Kill the process at once, so that it cannot clean up."""
         with contextlib.suppress(OSError):
             self._process.send_signal(signal.SIGTERM if sys.platform == "win32" else signal.SIGKILL)
 
@@ -293,7 +293,7 @@ class DeviceScanner:
         ACTUATOR.is_scanning = True
 
     def tick(self) -> bool:
-        """Return True if a search has just ended."""
+        """Read the search's result if it has ended since the last call; return True then."""
         process = self._process
         if process is None:
             return False

@@ -22,7 +22,7 @@ WRONG_PYTHON = 4
 
 
 def load_child_process(core: str) -> Any:
-    """Load hnf_core/child_process.py by its path, since a script that is run has no package."""
+    """Load hnf_core/child_process.py by its path, since this script belongs to no package when it is run."""
     spec: Any = importlib.util.spec_from_file_location("child_process", Path(core) / "child_process.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -45,7 +45,7 @@ def main(child_process: Any, paths: str, version: str, module: str, *arguments: 
 
 
 def print_devices(core: str) -> int:
-    """Print the devices as one line of JSON; return the exit code 0."""
+    """Print the connected devices as one line of JSON; return the exit code 0."""
     runtime = importlib.import_module(f"{core}.actuators.runtime")
     listing = importlib.import_module(f"{core}.actuators.stream_targets").list_devices()
     missing_packages, notes = [], list(listing.missing)

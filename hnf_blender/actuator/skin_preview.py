@@ -44,7 +44,7 @@ class SkinEstimate:
 
 @dataclass(frozen=True)
 class BandError:
-    """Deviation of an actuator's bands from the requested ones, as root mean square and largest magnitude [dB]."""
+    """Deviation of an actuator's third-octave levels from the requested ones, as RMS and largest magnitude [dB]."""
 
     rms_db: float
     max_db: float
@@ -78,7 +78,10 @@ def estimate_output(signal: Signal, profile: ActuatorProfile, *, virtual: bool) 
 
 
 def compute_band_error(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> BandError | None:
-    """Compute the level error per band, as `hnf actuators report` does; None if the signal has no band in the range."""
+    """Compute the level error per third-octave band of a signal, as `hnf actuators report` does.
+
+    None if the signal has no band in the actuator's range.
+    """
     from hnf_core.actuators.measure.inverse_filter import compute_rms_db
     from hnf_core.actuators.output_prediction import compute_band_changes
     from hnf_core.actuators.output_prediction import simulate_output as simulate
@@ -134,7 +137,7 @@ def describe_estimate(estimate: OutputEstimate | None) -> tuple[str, ...]:
 
 
 class SkinPreview:
-    """Estimate for the newest stroke, computed by a thread, one stroke at a time."""
+    """Prediction of the skin's motion for the newest stroke, computed by a thread, one stroke at a time."""
 
     def __init__(self) -> None:
         self._requested: object = None
@@ -173,7 +176,8 @@ class SkinPreview:
         return self.estimate is not previous
 
     def _run(self, key: object, signal: Signal, profile: ActuatorProfile, virtual: bool) -> None:
-        from hnf_core.actuators.profile import USER_PROFILE_NAME, load_profile
+        from hnf_core.actuators.profile import USER_PROFILE_NAME
+        from hnf_core.actuators.profile_json import load_profile
         from hnf_core.errors import HnfError
 
         # The panel's copy of a profile has no response, so the file is read.

@@ -1,4 +1,4 @@
-"""Sounds and the `Player` protocol that speakers and actuators implement, and the sweep of the Test button."""
+"""Sounds, the `Player` protocol that speakers and actuators implement, and the sine sweep of the Test button."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hnf_core.actuators.profile import ActuatorProfile
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """Signal to be played.
+    """Vibration signal to be played, in m/s².
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Sound:
 
 
 class Player(Protocol):
-    """Player of one sound at a time; every call returns at once, and stopping or pausing fades out."""
+    """Protocol of players of one sound at a time; every call returns at once, and stopping or pausing fades out."""
 
     def play(self, sound: Sound) -> None:
         """Play from `sound.start_s` on, replacing the playing sound. Raises HnfError if there is no device."""

@@ -41,7 +41,7 @@ CAMERA_SYMBOL_FRACTION = 0.05
 def open_nerfstudio_export(path: Path, open_geometry: Callable[[Path], Any]) -> Any:
     """Open the geometry of a nerfstudio export in the export's frame (z up), and add its cameras.
 
-    Both files are checked before the current scene is replaced.
+    The geometry file and transforms.json are checked before the current scene is replaced.
 
     Parameters
     ----------
@@ -72,9 +72,9 @@ def open_nerfstudio_export(path: Path, open_geometry: Callable[[Path], Any]) -> 
 
 
 def find_geometry(path: Path) -> Path:
-    """Return the geometry file to touch, next to a transforms.json.
+    """Return the geometry file in the folder of a nerfstudio transforms.json (`path`).
 
-    In order of preference: a mesh with colours, splats, a mesh without colours, a point cloud (which is refused when it
+    In order of preference: a mesh with colors, splats, a mesh without colors, a point cloud (which is refused when it
     is opened). Raises FileError if there is none of these.
     """
     existing = [path.with_name(name) for name in (*EXPORT_MESHES, EXPORT_SPLATS, EXPORT_POINTS)]
@@ -92,7 +92,7 @@ def find_geometry(path: Path) -> Path:
 
 
 def has_colours(mesh: Path) -> bool:
-    """Return True if a mesh file has vertex colours or, for an .obj, a material with an image."""
+    """Return True if a mesh file has vertex colors or, for an .obj, a material with an image."""
     if mesh.suffix == ".ply":
         header = read_ply_header(mesh)
         return header.count("face") > 0 and {"red", "green", "blue"} <= set(header.names("vertex"))
@@ -114,10 +114,10 @@ def _has_texture(mesh: Path, name: str) -> bool:
 
 
 def add_cameras(scene: Any, frames: Sequence[NerfstudioFrame]) -> None:
-    """Add one camera per frame, named after its image, in a collection of their own.
+    """Add one camera per nerfstudio frame (image with its pose), named after the image, in a collection of their own.
 
-    The first becomes the scene's camera and sets the render size. A scene renders all cameras at one size: the others
-    show their own width, and more or less of their height if their images have another aspect ratio.
+    The first becomes the scene's camera and sets the render size. A Blender scene renders all cameras at one size: the
+    others show their own width, and more or less of their height if their images have another aspect ratio.
     """
     import bpy
 
@@ -256,9 +256,10 @@ def open_empty_scene() -> None:
 
 
 def check_scene_file(path: Path) -> None:
-    """Refuse a file that Blender could not open, by its name, size and first bytes.
+    """Raise an error if Blender could not open a scene file, judging by its name, size and first bytes.
 
-    This needs no Blender and changes nothing. Raises FileError and SceneError like `open_scene`.
+    This needs no Blender and changes nothing. Raises FileError if the file is missing, damaged or of an unsupported
+    format, and SceneError if there is nothing to touch in it.
     """
     path = Path(path).absolute()
     where, suffix = str(path), path.suffix.lower()
@@ -300,7 +301,7 @@ def check_scene_file(path: Path) -> None:
 
 
 def _check_ply(path: Path) -> None:
-    """Raise SceneError for a point cloud, and the errors of `check_splat_file` for splats."""
+    """Raise SceneError if a .ply is a point cloud, FileError if it contains splats that cannot be read."""
     header = read_ply_header(path)
     if header.is_splat:
         check_splat_file(path)

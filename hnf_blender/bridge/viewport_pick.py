@@ -166,7 +166,7 @@ def find_untouchable(scene: Any, depsgraph: Any, origin: Any, direction: Any) ->
 
 
 def _find_instancer(obj: Any, matrix: Any, depsgraph: Any) -> Any:
-    """Return the object that creates the instance of `obj` at `matrix`, or None if it is `obj` itself."""
+    """Return the object that creates the instance of `obj` at world matrix `matrix`, or None if it is `obj` itself."""
     for instance in depsgraph.object_instances:
         if not instance.is_instance or instance.object.original != obj:
             continue
@@ -305,16 +305,16 @@ def find_contact_point(hit: Hit, depsgraph: Any, metres_per_unit: float) -> Cont
 
 
 def _read_face_token(mesh: Any, face: int) -> int:
-    """Return the palette index baked on a face, −1 if there is none."""
+    """Return the palette index of the token baked on a face, −1 if there is none."""
     attribute = mesh.attributes.get(TOKEN_ATTRIBUTE)
     is_baked = attribute is not None and attribute.domain == "FACE" and attribute.data_type == "INT"
     return int(attribute.data[face].value) if is_baked else -1
 
 
 def find_touched_material(obj: Any, depsgraph: Any, slot: int, token: int) -> MaterialFile:
-    """Return the complete material that a slot of an object is felt with.
+    """Return the haptic material with which a slot of an object is felt.
 
-    This is the baked material, unless another was chosen since; otherwise the artist's choice; otherwise the library
+    This is the baked material, unless another was chosen since; otherwise the user's choice; otherwise the library
     material that the slot's shader resembles most.
 
     Parameters
@@ -354,7 +354,7 @@ def find_touched_material(obj: Any, depsgraph: Any, slot: int, token: int) -> Ma
 
 
 def _get_baked_material(obj: Any, token: int) -> MaterialFile | None:
-    """Return the material of a palette index of the bake, or None if it is not baked."""
+    """Return the haptic material that a token's palette index of the bake stands for, or None if it is not baked."""
     tokens = read_tokens(obj.data) if token >= 0 else None
     if tokens is None or token >= len(tokens.palette):
         return None
@@ -369,7 +369,7 @@ def _get_baked_material(obj: Any, token: int) -> MaterialFile | None:
 
 
 def _guess_material(obj: Any, shader: Any) -> LibraryMaterial:
-    """Return the library material that ranks first for the shader's values, names and textures."""
+    """Return the library material that resembles a shader most, by its values, its names and those of its textures."""
     from .shader.closures import read_stated_appearance
     from .shader.images import list_texture_names
 

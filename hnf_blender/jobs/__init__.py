@@ -1,7 +1,7 @@
 """Long work in child processes: bakes, touch queries and learning of materials, one job at a time.
 
-A job is a request in a folder, a child process that writes results there, and a commit of the results to the scene;
-without a window the same steps run in this process. Read `manager.py` first, then `bake_job.py`.
+A job is a request in a folder, a child process that writes results there, and a commit, which writes the results to the
+scene; without a window the same steps run in this process. Read `manager.py` first, then `bake_job.py`.
 """
 
 from __future__ import annotations

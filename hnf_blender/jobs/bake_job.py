@@ -1,6 +1,7 @@
-"""Bake of a scene in a child process: copy of the .blend → child process → comparison → commit, in short ticks.
+"""Bake of a scene in a child process: copy of the .blend → child process → comparison of inputs → results in the scene.
 
-`bake_blocking` and `query_blocking` do the same work in this process.
+The steps are short, so that the window stays responsive. `bake_blocking` and `query_blocking` do the same work in this
+process.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class PreparedJob:
 
 
 class BakeJob(ChildJob):
-    """Bake in a child process, or a touch query at `point`."""
+    """Job that bakes strokes in a child process, or that evaluates a touch query at `point` (what is felt there)."""
 
     process_name = "The bake's own process"
     killed_remedy = BAKE_KILLED_REMEDY
@@ -87,14 +88,14 @@ class BakeJob(ChildJob):
 
     @property
     def is_committing(self) -> bool:
-        """True once the child process has ended and its results are compared and written."""
+        """True once the child process has ended, while its results are compared with the scene and written."""
         return self._committing is not None
 
     def _advance(self) -> LastJob | None:
         return self._commit() if self._committing is not None else self._poll_messages()
 
     def cancel(self) -> LastJob:
-        """Cancel the job; nothing is left behind or changed."""
+        """Cancel the job; its files are removed and the scene is not changed."""
         if self._prepared.request.probe_object:
             return self._finish(LastJob(True, tr("Nothing was examined.")))
         return self._finish(LastJob(True, tr("Bake cancelled. Nothing was changed; finished close-ups are kept.")))
@@ -174,7 +175,8 @@ def query_blocking(scene: Any, view_layer: Any, point: TouchQuery) -> LastJob:
 def prepare_job(scene: Any, view_layer: Any, only: Sequence[str] = (), point: TouchQuery | None = None) -> PreparedJob:
     """Write the request of a bake, or of a touch query at `point`, to a new folder.
 
-    Raises SceneError if there is no stroke to bake, FileError if no folder can be made.
+    `only` names the strokes to bake, empty for all. Raises SceneError if there is no stroke to bake, FileError if no
+    folder can be made.
     """
     import bpy
 
@@ -203,7 +205,11 @@ def prepare_job(scene: Any, view_layer: Any, only: Sequence[str] = (), point: To
 
 
 def _list_named_surfaces(scene: Any, only: Sequence[str], point: TouchQuery | None) -> list[Any]:
-    """Return the objects known to be touched; surfaces that strokes find themselves are compared after the bake."""
+    """Return the objects that are known to be touched before the bake.
+
+    These are the surfaces set on strokes and the query's object; surfaces that strokes find by themselves are compared
+    with the scene after the bake.
+    """
     if point is None:
         surfaces = [curve.hnf_stroke.surface for curve in select_strokes(scene, only)]
     else:
@@ -212,7 +218,7 @@ def _list_named_surfaces(scene: Any, only: Sequence[str], point: TouchQuery | No
 
 
 def save_copy(path: Path) -> None:
-    """Save the open file with its unsaved changes to `path`, without changing the file. Raises FileError."""
+    """Save the open .blend with its unsaved changes to `path`, without changing the open file. Raises FileError."""
     import bpy
 
     files = bpy.context.preferences.filepaths
@@ -233,13 +239,16 @@ def save_copy(path: Path) -> None:
 
 
 def describe_query(view: QueryView) -> LastJob:
-    """Describe the result of a touch query."""
+    """Describe the result of a touch query for the status bar."""
     message = tr("Examined '{surface}': {material}").format(surface=view.object_name, material=view.library_material)
     return LastJob(True, f"{message}.")
 
 
 def describe_result(result: JobResult, committed: CommitResult, seconds: float) -> LastJob:
-    """Describe the result for the status bar, with the first problem; other problems and warnings are details."""
+    """Describe the result of a bake for the status bar, with the first problem; others and warnings are details.
+
+    `seconds` is the time the job took [s].
+    """
     problems = [*result.failed, *committed.refused]
     baked = tr("{strokes} baked in {seconds} s")
     parts = [baked.format(strokes=_format_stroke_count(len(committed.strokes)), seconds=f"{seconds:.0f}")]
@@ -269,7 +278,7 @@ def _format_stroke_count(count: int) -> str:
 
 
 def _commit_at_once(result: JobResult, prepared: PreparedJob) -> CommitResult:
-    """Commit without pauses between the comparisons."""
+    """Write a job's results to the scene without pauses between the comparisons of inputs."""
     steps = commit_steps(result, prepared.folder, prepared.target)
     while True:
         try:

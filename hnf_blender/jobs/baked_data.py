@@ -32,7 +32,7 @@ from .job_runner import is_up_to_date
 CHILD_START_SECONDS = 4.0
 """Time for a second Blender to start and open the copy [s]."""
 STROKE_BYTES, METRE_BYTES, SECOND_BYTES = 4_000, 130_000, 1_500
-"""Size of a stored bake, and its growth per metre of path and per second [bytes]; measured, within a tenth."""
+"""Size of a stored bake, and its growth per meter of path and per second [bytes]; measured, within a tenth."""
 FACE_BYTES, PALETTE_BYTES = 12, 1_000
 """Size of a mesh's tokens per face, and of its palette [bytes]."""
 
@@ -105,7 +105,7 @@ class PurgeResult:
 
     @property
     def message(self) -> str:
-        """Sentence for the artist."""
+        """Sentence for the user on what was removed."""
         removed = tr("{size} of baked data removed.").format(size=format_bytes(self.bytes))
         done = removed if self.bytes else tr("There was nothing to remove.")
         return " ".join((done, *self.remarks))
@@ -153,7 +153,7 @@ def purge(scene: Any, view_layer: Any, *, everything: bool) -> PurgeResult:
 
 
 def _find_clouds(mesh: Any) -> list[Any]:
-    """Return the writable splat clouds of the surfaces that use this mesh."""
+    """Return the writable objects with the splats of the surfaces that use this mesh."""
     import bpy
 
     clouds = [get_cloud(obj) for obj in bpy.data.objects if obj.data == mesh]
@@ -161,7 +161,7 @@ def _find_clouds(mesh: Any) -> list[Any]:
 
 
 def _is_stale_bake(session: Session, obj: Any) -> bool:
-    """Return whether the bake on `obj` matches no stroke any more; objects of other scenes are left alone."""
+    """Return True if the bake on `obj` does not match its stroke any more; objects of other scenes are left alone."""
     if find_index(session.scene.objects, obj) < 0:
         return False
     if not obj.hnf_stroke.is_stroke:

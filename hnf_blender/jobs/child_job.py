@@ -32,7 +32,10 @@ Record = TypeVar("Record")
 
 
 def from_json(kind: type[Record], text: str, *, where: str = "record") -> Record:
-    """Decode a dataclass from JSON. Raises FileError, which names `where`, if the text has other fields or types."""
+    """Decode a dataclass `kind` from JSON.
+
+    Raises FileError, which names `where`, if the text has other fields or types.
+    """
     try:
         return parse_record(kind, load_json(text))
     except (ValueError, TypeError, RecursionError) as error:
@@ -45,7 +48,7 @@ MESSAGE_PREFIX = "@hnf "
 
 @dataclass(frozen=True)
 class Started:
-    """Message that a job has begun, with the number of strokes to bake and of fresh ones."""
+    """Message that a job has begun, with the number of strokes to bake and of those whose bake is still valid."""
 
     strokes: int
     fresh: int
@@ -53,7 +56,7 @@ class Started:
 
 @dataclass(frozen=True)
 class Step:
-    """Message on a job's progress.
+    """Message of the child process on a job's progress.
 
     Attributes
     ----------
@@ -88,12 +91,15 @@ MESSAGE_TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in (Star
 
 
 def encode_message(message: Message) -> str:
-    """Encode a message as a line without its line end."""
+    """Encode a message as one line of text, without a newline."""
     return f"{MESSAGE_PREFIX}{type(message).__name__} {encode_json(message)}"
 
 
 def decode_message(line: str) -> Message | None:
-    """Return the message in a line, None if it is other output. Raises FileError for a damaged message."""
+    """Return the message in a line of standard output, None if it is other output.
+
+    Raises FileError for a damaged message.
+    """
     if not line.startswith(MESSAGE_PREFIX):
         return None
     name, _, text = line[len(MESSAGE_PREFIX) :].strip().partition(" ")
@@ -106,7 +112,7 @@ JOB_FOLDER_PREFIX = "hnf-job-"
 
 
 def get_job_root() -> Path:
-    """Return the folder of all job folders."""
+    """Return the folder that contains the folders of all jobs."""
     import tempfile  # Imports shutil and compressors, 3 ms that enabling the add-on should not take.
 
     return Path(tempfile.gettempdir())
@@ -220,7 +226,7 @@ class ChildProgram:
 
 
 class ChildProcess:
-    """Process that works in a job's folder; a thread reads its output, so no method blocks."""
+    """Child process that works in a job's folder; a thread reads its output, so that no method blocks."""
 
     def __init__(self, folder: Path, program: ChildProgram) -> None:
         """Start the process. Raises FileError if that fails."""
@@ -252,7 +258,7 @@ class ChildProcess:
 
     @property
     def last_lines(self) -> tuple[str, ...]:
-        """Last lines of output that are no messages."""
+        """Last lines of output that are not messages, for the error if the process dies."""
         return tuple(self._output_tail)
 
     def messages(self) -> Iterator[Message]:
@@ -285,7 +291,10 @@ class ChildProcess:
             self._reap(on_exit)
 
     def _reap(self, on_exit: Callable[[], None]) -> None:
-        """Wait in a thread for the killed process, which takes a while if it was starting."""
+        """Wait in a thread until the killed process has ended, then call `on_exit`.
+
+        This takes a while if the process was just starting.
+        """
         if sys.platform == "win32":
             kill_process_group(self.pid)
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -317,7 +326,7 @@ class ChildProcess:
 
 
 def lower_priority(pid: int) -> None:
-    """Lower the priority of a child process; on Windows PROCESS_GROUP_OPTIONS does so."""
+    """Lower the priority of a child process; does nothing on Windows, where it is started with low priority."""
     if sys.platform != "win32":
         with contextlib.suppress(OSError):  # The process may have ended.
             os.setpriority(os.PRIO_PROCESS, pid, os.getpriority(os.PRIO_PROCESS, 0) + NICENESS)
@@ -405,7 +414,7 @@ class ChildJob(ABC):
 
     @abstractmethod
     def _on_message(self, message: Message, child: ChildProcess) -> LastJob | None:
-        """Return the outcome if the message ends the job; no message is read after Finished."""
+        """Handle a message; return the outcome if it ends the job. No message is read after Finished."""
 
     def _advance(self) -> LastJob | None:
         return self._poll_messages()

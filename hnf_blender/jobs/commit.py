@@ -1,4 +1,4 @@
-"""Commit of a job's results to the scene: results whose inputs have not changed are written, the others rejected."""
+"""Commit of a job: results whose inputs have not changed since are written to the scene, the others are rejected."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ REBAKE_HINT = "It keeps what it had; bake it again."
 
 @dataclass(frozen=True)
 class CommitTarget:
-    """Scene that the results belong to, identified so that renamed data is found and new data of the same name is not.
+    """Scene to which a job's results are written, identified even if it or its objects are renamed meanwhile.
+
+    New data of the same name is not mistaken for it.
 
     Attributes
     ----------
@@ -60,9 +62,10 @@ class CommitResult:
 
 @dataclass
 class _Verified:
-    """Results that may be written, by session_uid, since references would not survive until then.
+    """Results that may be written, by session_uid, since Python references to objects may become invalid until then.
 
-    `stroke_names` are names when the job began; `rechosen_strokes` had another material chosen meanwhile.
+    `stroke_names` are names when the job began; `rechosen_strokes` are strokes for which another material was chosen
+    since.
     """
 
     strokes: list[tuple[int, StrokeBake, InputHashes]] = field(default_factory=list)
@@ -73,23 +76,23 @@ class _Verified:
 
 
 def make_commit_target(scene: Any, view_layer: Any) -> CommitTarget:
-    """Identify the scene and its objects as they are now."""
+    """Identify the scene and its objects as they are now, for the time when the job has ended."""
     uids = {name: obj.session_uid for name, obj in get_named_objects(scene).items()}
     return CommitTarget(scene.name, scene.session_uid, view_layer.name, scene.view_layers.find(view_layer.name), uids)
 
 
 def find_target_scene(target: CommitTarget) -> Any:
-    """Return the target's scene under its current name, or None if it was deleted."""
+    """Return the scene of a job under its current name, or None if it was deleted."""
     import bpy
 
     return next((scene for scene in bpy.data.scenes if scene.session_uid == target.scene_uid), None)
 
 
 def commit_steps(result: JobResult, folder: Path, target: CommitTarget) -> Generator[None, None, CommitResult]:
-    """Compare the inputs of all strokes and meshes, then write all valid results at once.
+    """Compare the inputs of all strokes and meshes with the scene, then write all valid results at once.
 
     Yields between comparisons, so that the window stays responsive; what changes meanwhile is compared again. Anything
-    that can fail does so before the first write. The caller makes the undo step.
+    that can fail does so before the first write. The caller pushes the undo step.
 
     Parameters
     ----------
@@ -131,7 +134,7 @@ def commit_steps(result: JobResult, folder: Path, target: CommitTarget) -> Gener
 
 
 def _count_changes(target: CommitTarget) -> int:
-    """Return STATE.changes after Blender has processed pending changes."""
+    """Return the counter of scene changes (STATE.changes) after Blender has processed pending ones."""
     _require_target_scene(target)[1].update()
     return STATE.changes
 
@@ -150,7 +153,10 @@ def _require_target_scene(target: CommitTarget) -> tuple[Any, Any]:
 def _list_comparisons(
     result: JobResult, folder: Path, target: CommitTarget, session: Session, verified: _Verified
 ) -> Iterator[Callable[[], None]]:
-    """Yield a comparison per stroke, then one per mesh, which depends on the outcome of its strokes."""
+    """Yield a function per stroke, then one per mesh, that checks if its result may be written.
+
+    Meshes follow because they depend on the outcome of their strokes.
+    """
     for baked in result.strokes:
         yield partial(_compare_stroke, baked, folder, target, session, verified)
     for tokens in result.meshes:
@@ -229,7 +235,7 @@ def _check_mesh(tokens: TokenFile, folder: Path, target: CommitTarget, session: 
 
 
 def _find_object(scene: Any, target: CommitTarget, name: str) -> Any:
-    """Return the object that had this name when the job began, or None."""
+    """Return the object that had the name `name` when the job began, or None."""
     return _index_by_uid(scene).get(target.uids.get(name, -1))
 
 

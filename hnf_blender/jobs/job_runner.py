@@ -43,7 +43,7 @@ from .request import (
 
 
 def ignore_message(message: Message) -> None:
-    """Do nothing; the receiver of messages of a job that nobody watches."""
+    """Do nothing: receiver of the progress messages of a job that nobody watches."""
 
 
 def run_job(request: JobRequest, folder: Path, send: Callable[[Message], None] = ignore_message) -> JobResult:
@@ -118,7 +118,7 @@ def select_strokes(scene: Any, only: Sequence[str]) -> list[Any]:
 
 
 def is_up_to_date(session: Session, job: StrokeJob) -> bool:
-    """Return whether the stroke's bake is fresh and its surface has its tokens."""
+    """Return True if a stroke's stored bake is still valid and its surface has its tokens."""
     status = check_validity(find_object(session.scene, job.curve_name), job)
     return status.freshness is Freshness.FRESH and has_tokens(session, find_object(session.scene, job.object_name))
 
@@ -133,7 +133,7 @@ def _find_scene(request: JobRequest) -> tuple[Any, Any]:
 
 
 def _write_tokens(session: Session, strokes: Sequence[BakedStroke], folder: Path) -> tuple[TokenFile, ...]:
-    """Write the tokens of every touched mesh into `folder`; return their files."""
+    """Write the tokens (material descriptions per face) of every touched mesh to files in `folder`; return these."""
     token_files = []
     for number, group in enumerate(group_by_mesh(strokes)):
         obj = group[0].touched.obj

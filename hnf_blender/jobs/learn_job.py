@@ -1,4 +1,4 @@
-"""Learning of materials: a training process in an external Python → a material file, assigned to a material slot.
+"""Job that learns a haptic material: trains in an external Python, then assigns the material file to a slot.
 
 `check_python` finds out whether a Python can train; nothing is ever installed into it.
 """
@@ -132,14 +132,14 @@ LEARNING_KILLED_REMEDY += "close other programs (memory)."
 
 @dataclass(frozen=True)
 class MaterialSlot:
-    """Material slot that the learned material is assigned to; object_name "" means none."""
+    """Blender material slot that the learned material is assigned to; object_name "" means none."""
 
     object_name: str = ""
     slot: int = 0
 
 
 class LearnJob(ChildJob):
-    """Job that learns a material in an external Python."""
+    """Job that learns a haptic material from recordings in an external Python."""
 
     process_name = "The process that learned"
     killed_remedy = LEARNING_KILLED_REMEDY
@@ -173,12 +173,12 @@ class LearnJob(ChildJob):
         self._update_status(Step("starting", 0, 1))
 
     def cancel(self) -> LastJob:
-        """Cancel the job; a checkpoint remains for another run with the same choices."""
+        """Cancel the job; the training's checkpoint remains for another run with the same settings."""
         message = tr("Learning cancelled. Nothing was changed; run it again with the same choices to resume.")
         return self._finish(LastJob(True, message))
 
     def clean_up(self) -> None:
-        """End the process and remove its partial files; only the checkpoint is left."""
+        """End the process and remove its partial files, except the training's checkpoint."""
         if self._child is not None:
             self._child.kill(on_exit=partial(_remove_leftovers, self.folder, self.out))
             self._child = None
@@ -221,7 +221,7 @@ class LearnJob(ChildJob):
 
 
 def learn_blocking(python: str, lesson: LearnRequest, slot: MaterialSlot) -> LastJob:
-    """Learn a material and wait for it. Raises HnfError if it cannot be started or fails."""
+    """Learn a haptic material and wait for it. Raises HnfError if it cannot be started or fails."""
     job = LearnJob(python, lesson, slot)
     while (outcome := job.tick()) is None:
         time.sleep(0.05)
@@ -231,14 +231,15 @@ def learn_blocking(python: str, lesson: LearnRequest, slot: MaterialSlot) -> Las
 
 
 def make_weights_path(lesson: LearnRequest) -> Path:
-    """Return the path of the weights, with the checkpoint in the same folder; equal requests give equal paths."""
+    """Return the path of the trained weights, in whose folder the checkpoint is; equal requests give equal paths."""
     return get_learned_folder() / f"{content_hash(repr(sorted(asdict(lesson).items())))}.safetensors"
 
 
 def assign_to_slot(definition: MaterialFile, slot: MaterialSlot, material_path: Path) -> str:
-    """Assign a learned material to a slot and return a sentence for the artist.
+    """Assign a learned material to a slot and return a sentence for the user.
 
-    If the slot does not exist, or its feel was chosen by the artist, a new Blender material is created instead.
+    If the slot does not exist, or the user chose another haptic material for it, a new Blender material is created
+    instead.
 
     Parameters
     ----------
@@ -267,7 +268,7 @@ def assign_to_slot(definition: MaterialFile, slot: MaterialSlot, material_path: 
 
 
 def _find_assignable_object(slot: MaterialSlot) -> Any:
-    """Return the slot's object if the slot can be assigned, else None."""
+    """Return the slot's object if the slot exists and can be assigned a material, else None."""
     import bpy
 
     from ..props.material_settings import DEFINITION_PROPERTY

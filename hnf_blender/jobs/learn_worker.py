@@ -1,8 +1,8 @@
 """Entry point of the child process that learns a material, run by a Python outside Blender.
 
-Run as `PYTHON learn_worker.py CORE REQUEST OUT`. It loads the add-on's hnf_core from its folder CORE; neither the
-project nor bpy is installed there. REQUEST is `hnf_core.training.learn.LearnRequest` as JSON, OUT the path of the
-weights. It prints messages that `child_job.py` decodes.
+Run as `PYTHON learn_worker.py CORE REQUEST OUT`. It loads the add-on's hnf_core from its folder CORE, since neither the
+project nor bpy is installed in that Python. REQUEST is `hnf_core.training.learn.LearnRequest` as JSON, OUT the path of
+the weights. It prints messages that `child_job.py` decodes.
 """
 
 import importlib
@@ -15,7 +15,7 @@ from typing import Any
 
 
 def load_child_process(core: str) -> Any:
-    """Load hnf_core/child_process.py by its path, since a script that is run has no package."""
+    """Load hnf_core/child_process.py by its path, since this script belongs to no package when it is run."""
     spec: Any = importlib.util.spec_from_file_location("child_process", Path(core) / "child_process.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -23,7 +23,7 @@ def load_child_process(core: str) -> Any:
 
 
 def send_message(kind: str, **values: object) -> None:
-    """Print a message; see `child_job.decode_message`."""
+    """Print a message of a kind ("Step", "Failed", …) with values; `child_job.decode_message` reads it."""
     # A library may have printed an incomplete line, so a line end comes first.
     os.write(1, f"\n@hnf {kind} {json.dumps(values)}\n".encode())
 

@@ -1,6 +1,7 @@
 """Manager of the running job: one at a time, independent of the operator that started it.
 
-Also loads, in a thread, the modules that statuses and jobs need: importing them takes a third of a second.
+It also loads, in a thread, the modules that jobs and the panels' stroke statuses need: importing them takes a third of
+a second.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def is_running() -> bool:
 
 
 def start_bake(scene: Any, view_layer: Any, only: Sequence[str] = (), point: TouchQuery | None = None) -> BakeJob:
-    """Start a bake, or a touch query at `point`.
+    """Start a bake, or a touch query at `point` (what is felt there).
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ _preload_thread: threading.Thread | None = None
 
 
 def is_preloaded() -> bool:
-    """Return whether all modules are loaded; the first call starts loading."""
+    """Return True if all modules that jobs need are imported; the first call starts importing them in a thread."""
     global _preload_thread
     if _preload_thread is None:
         _preload_thread = threading.Thread(target=_preload, name="hnf loading", daemon=True)

@@ -1,4 +1,4 @@
-"""Touch query in the child process of a job: a point on an object → a result file → the panel's view of it.
+"""Touch query (what is felt at one point) in the child process of a job: point → result file → contents of the panel.
 
 The scene is not changed. `run_query_job` runs in the child, `load_query_result` in the parent.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.errors import FileError
-from hnf_core.export.plots.tactile_map_figure import stretch_contrast
+from hnf_core.export.plots.figure import stretch_contrast
 from hnf_core.files import NPZ_ERRORS, write_bytes
 from hnf_core.material.fuse import format_routes
 from hnf_core.material.ranking import Suggestion
@@ -44,7 +44,7 @@ QUERY_ICON = "probe"
 def run_query_job(
     session: Session, query: TouchQuery, cache: Path, folder: Path, send: Callable[[Started | Step], None]
 ) -> int:
-    """Evaluate a touch query and write its result to `folder`; return the number of close-ups.
+    """Evaluate a touch query and write its result to `folder`; return the number of close-ups rendered.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def run_query_job(
 
 
 def pack_query_result(result: QueryResult, scene_name: str) -> bytes:
-    """Pack the facts for the panel and the complete ranking as NPZ bytes without pickle."""
+    """Pack a touch query's result, as the panel shows it, and the ranking of all materials as NPZ bytes."""
     touched, slot = result.touched, result.point.patch.slot
     slots = touched.obj.material_slots
     material = slots[slot].material if slot < len(slots) else None
@@ -126,7 +126,7 @@ def pack_query_result(result: QueryResult, scene_name: str) -> bytes:
 
 
 def load_query_result(folder: Path) -> QueryView:
-    """Load the result from a job's folder into STATE.query_view and the suggestions of its material.
+    """Load a touch query's result from a job's folder into STATE.query_view and the suggestions of its material.
 
     Raises FileError if it is damaged.
     """

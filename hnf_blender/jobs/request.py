@@ -1,4 +1,7 @@
-"""Request and result of a job: the dataclasses that its folder contains as JSON, and packed tokens of meshes."""
+"""Request and result of a job: dataclasses stored as JSON in its folder, and the tokens of meshes as NPZ.
+
+A token describes a material's micro-geometry; a mesh has one per face.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ REQUEST_NAME, RESULT_NAME, SCENE_NAME = "order.json", "result.json", "scene.blen
 
 @dataclass(frozen=True)
 class JobRequest:
-    """Request of a bake or touch query.
+    """Request of a bake or touch query, written for the child process.
 
     Attributes
     ----------
@@ -57,7 +60,7 @@ class JobRequest:
 
 @dataclass(frozen=True)
 class BakedFile:
-    """File with a stroke's bake; `stroke` is its name when the job began, `inputs` are hashes of its inputs."""
+    """File with a stroke's bake; `stroke` is the stroke's name when the job began, `inputs` hashes of its inputs."""
 
     stroke: str
     file: str
@@ -66,7 +69,7 @@ class BakedFile:
 
 @dataclass(frozen=True)
 class TokenFile:
-    """File with the tokens of a mesh.
+    """File with the tokens (material descriptions per face) of a mesh.
 
     Attributes
     ----------
@@ -88,7 +91,7 @@ class TokenFile:
 
 @dataclass(frozen=True)
 class Rejection:
-    """Stroke or mesh that got no result, and the reason with a remedy."""
+    """A stroke or mesh for which nothing was written to the scene, and the reason with a remedy."""
 
     what: str
     why: str
@@ -96,7 +99,7 @@ class Rejection:
 
 @dataclass(frozen=True)
 class JobResult:
-    """Result of a job.
+    """Result of a bake or touch query, written by the child process.
 
     Attributes
     ----------
@@ -134,7 +137,7 @@ def read_request(folder: Path) -> JobRequest:
 
 
 def write_result(folder: Path, result: JobResult) -> None:
-    """Write the result, last of all files, so that it exists only if all files that it names do."""
+    """Write a job's result, last of all its files, so that it exists only if all files that it names do."""
     write_text(folder / RESULT_NAME, encode_json(result))
 
 
@@ -143,7 +146,7 @@ def read_result(folder: Path) -> JobResult:
 
 
 def pack_tokens(tokens: FaceTokens) -> bytes:
-    """Pack tokens as NPZ bytes without pickle; equal tokens give equal bytes."""
+    """Pack the tokens of a mesh as NPZ bytes without pickle; equal tokens give equal bytes."""
     buffer = io.BytesIO()
     points = {} if tokens.points is None else asdict(tokens.points)
     np.savez(
@@ -159,7 +162,7 @@ def pack_tokens(tokens: FaceTokens) -> bytes:
 
 
 def unpack_tokens(data: bytes) -> FaceTokens:
-    """Unpack tokens. Raises FileError if the data were not written by `pack_tokens`."""
+    """Unpack the tokens of a mesh. Raises FileError if the data were not written by `pack_tokens`."""
     try:
         arrays = read_npz(data)
         return FaceTokens(

@@ -14,7 +14,7 @@ from typing import Any
 
 
 def load_child_process(core: str) -> Any:
-    """Load hnf_core/child_process.py by its path, since a script that is run has no package."""
+    """Load hnf_core/child_process.py by its path, since this script belongs to no package when it is run."""
     spec: Any = importlib.util.spec_from_file_location("child_process", Path(core) / "child_process.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -207,7 +207,10 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         return True
 
     def _check_likely_surface(self, context: Any) -> None:
-        """Check the tokens of the surface most likely touched first, since hashing it later would delay the pen."""
+        """Check whether the baked tokens of the surface most likely touched first are valid.
+
+        Hashing the surface later would delay the pen.
+        """
         from ..bridge.scene.stored_data import TOKEN_ATTRIBUTE
         from .material_ops import find_material_object
 
@@ -281,7 +284,9 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
 def update_live_touch(
     touch: Any, context: Any, hit: Any, force_n: float, time_s: float, validity: "TokenValidity"
 ) -> None:
-    """Send the position of the pen to a live touch; tokens baked on an outdated surface are ignored.
+    """Send the position of the pen to a live touch, with the material under it.
+
+    Tokens (material descriptions) baked on a surface that has changed since are ignored.
 
     Parameters
     ----------
@@ -301,7 +306,7 @@ def update_live_touch(
     Raises
     ------
     HnfError
-        If the material under the pen cannot be synthesised.
+        If the material under the pen cannot be synthesized.
     """
     from ..bridge.viewport_pick import find_contact_point, find_touched_material
 
@@ -322,9 +327,9 @@ def update_live_touch(
 
 
 def guess_first_material(context: Any) -> Any:
-    """Return the material most likely touched first, with which the device is opened.
+    """Return the haptic material most likely touched first, with which the device is opened.
 
-    Raises HnfError if there is no mesh, or its material cannot be synthesised.
+    Raises HnfError if there is no mesh, or its material cannot be synthesized.
     """
     from ..bridge.viewport_pick import find_touched_material
     from .material_ops import find_material_object

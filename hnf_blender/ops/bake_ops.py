@@ -41,7 +41,7 @@ class HNF_OT_plan(bpy.types.Operator):  # type: ignore[misc]
 
 
 class HNF_OT_bake(ModalJob, bpy.types.Operator):  # type: ignore[misc]
-    """Bake in a child process. Without REGISTER, since redoing would bake again."""
+    """Bake strokes in a child process. Without REGISTER, since redoing would bake again."""
 
     bl_idname = "hnf.bake"
     bl_label = "Bake Touch"
@@ -97,7 +97,7 @@ class HNF_OT_bake(ModalJob, bpy.types.Operator):  # type: ignore[misc]
         context.window_manager.progress_end()
 
     def report_end(self, ended: LastJob) -> set[str]:
-        """Report the outcome; FINISHED makes an undo step if something was written."""
+        """Report the outcome of the bake; FINISHED makes an undo step if something was written."""
         if not (ended.ok or ended.written):
             self.report({"ERROR"}, ended.message)
             return {"CANCELLED"}

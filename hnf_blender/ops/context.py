@@ -48,7 +48,7 @@ def make_active_and_visible(context: Any, stroke: Any) -> str:
 
 
 def get_surface_in_layer(context: Any, stroke: Any) -> Any:
-    """Return the surface chosen for a stroke, or None if there is none in the view layer.
+    """Return the surface object chosen for a stroke, or None if there is none in the view layer.
 
     A deleted object may survive in another scene or in the stroke's setting alone. The result is cached, since buttons
     query it at each redraw.
@@ -61,11 +61,11 @@ def get_surface_in_layer(context: Any, stroke: Any) -> Any:
 
 
 def resolve_probe(context: Any, choice: str) -> str:
-    """Return the probe of a new stroke: the operator's choice, or that of the preferences."""
+    """Return the probe (pen or finger) of a new stroke: the operator's choice, or that of the preferences."""
     return str(get_settings(context).default_probe) if choice == DEFAULT_PROBE else choice
 
 
 def format_error(error: HnfError) -> str:
-    """Format an error for a report."""
+    """Format an error's problem, location and remedy for Blender's report."""
     text = str(error)
     return text[:1].upper() + text[1:]

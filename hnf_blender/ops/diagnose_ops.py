@@ -40,7 +40,10 @@ def list_versions() -> tuple[tuple[str, str], ...]:
 
 
 def collect_diagnosis() -> tuple[tuple[str, str], ...]:
-    """Return versions, identities, paths, sizes and the last error; reads weights and folders, never raises."""
+    """Return (name, value) rows: versions, hashes of the networks, paths, sizes and the last error.
+
+    Reads weights and folders, never raises.
+    """
     from hnf_core.material.token import ENCODER_ID
 
     cache = get_cache_folder()
@@ -74,7 +77,7 @@ def refresh_diagnosis() -> None:
 
 
 def format_rows(rows: tuple[tuple[str, str], ...]) -> str:
-    """Format the rows for the clipboard, aligned."""
+    """Format the (name, value) rows of the diagnosis for the clipboard, aligned."""
     width = max((len(name) for name, _ in rows), default=0)
     return "\n".join(f"{name:<{width}}  {value}" for name, value in rows) + "\n"
 
@@ -91,7 +94,7 @@ def measure_folder(folder: Path) -> int:
 
 
 def measure_baked_data() -> int:
-    """Return the size of bakes, tokens and palettes in the open file [bytes]."""
+    """Return the size of bakes, tokens and palettes stored in the open .blend [bytes]."""
     from ..bridge.scene.stored_data import count_token_bytes
     from ..touch.bake_storage import count_stored_bytes
 
@@ -173,7 +176,7 @@ ASSET_LIBRARY_NAME = "Haptic Neural Fields"
 
 
 def find_asset_library(context: Any) -> Any:
-    """Return the preferences' entry of the add-on's assets, or None."""
+    """Return the entry of the add-on's asset library in Blender's preferences, or None."""
     libraries = context.preferences.filepaths.asset_libraries
     return next((library for library in libraries if _is_same_folder(library.path, ASSET_FOLDER)), None)
 

@@ -27,7 +27,7 @@ TIMING_ITEMS = (
 
 
 class HnfPenSample(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
-    """Sample of the pen; Python callers give every field, including `name`."""
+    """Sample of the pen as an operator property; Python callers give every field, including `name`."""
 
     location: bpy.props.FloatVectorProperty(name="Location", description="In world coordinates", size=3)
     pressure: bpy.props.FloatProperty(name="Pressure", description="0 to 1; 1 throughout means a mouse", default=1.0)
@@ -179,7 +179,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
         return {"RUNNING_MODAL"}
 
     def cancel(self, context: Any) -> None:
-        """Remove the line; called by Blender if the file or window is closed."""
+        """Remove the line drawn so far; called by Blender if the file or window is closed."""
         self._pen.close(context)
 
     def _finish(self, context: Any) -> set[str]:

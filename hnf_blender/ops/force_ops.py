@@ -99,7 +99,7 @@ def _is_flat(obj: Any, data_path: str) -> bool:
 
 
 def _fit_view(screen_name: str, area_index: int, flat: bool) -> None:
-    """Frame the complete curve, with a margin around a flat one; called once by a timer."""
+    """Frame the complete F-curve in a Graph Editor, with a margin if it is `flat`; called once by a timer."""
     import bpy
 
     for window in bpy.context.window_manager.windows:
@@ -113,7 +113,7 @@ def _fit_view(screen_name: str, area_index: int, flat: bool) -> None:
 
 
 def _frame_all(flat: bool) -> None:
-    """Frame all without animation, since the second step starts from the end of the first."""
+    """Frame all F-curves without animation: the margin of a `flat` curve is added in a second step from there."""
     import bpy
 
     preferences = bpy.context.preferences

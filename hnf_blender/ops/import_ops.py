@@ -83,7 +83,7 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy h
         return {"FINISHED"}
 
     def _find_target(self, context: Any) -> Any:
-        """Return the object that gets the material. Raises SceneError if the target does not exist."""
+        """Return the object that gets the imported material. Raises SceneError if it does not exist."""
         if not self.target:
             return find_material_object(context)
         obj = find_object(context.scene, self.target)
@@ -96,7 +96,10 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy h
         return obj.hnf_stroke.surface or obj if obj.hnf_stroke.is_stroke else obj
 
     def _find_slot(self, obj: Any) -> int:
-        """Return the index of the material slot. Raises SceneError if the object has no such slot."""
+        """Return the index of the material slot for the imported material.
+
+        Raises SceneError if the object has no such slot.
+        """
         slot = obj.active_material_index if self.slot < 0 else self.slot
         if slot > max(len(obj.material_slots) - 1, 0):
             raise SceneError(
@@ -172,7 +175,7 @@ def _load_sound(path: Path) -> Any:
 
 
 def _find_signal_stroke(signal: "Signal | None", context: Any) -> Any:
-    """Return the scene's stroke that a signal was made of, else the active stroke, else None."""
+    """Return the scene's stroke that a signal was synthesized from, else the active stroke, else None."""
     name = "" if signal is None else signal.provenance.get("stroke", "")
     matches = [stroke for stroke in list_strokes(context.scene) if stroke.name == name]
     return matches[0] if matches else get_active_stroke(context)
@@ -217,7 +220,7 @@ TICK_S = 0.1
 
 
 class SplatReader:
-    """Thread that reads a splat file and reconstructs its surface, independent of Blender's data."""
+    """Thread that reads a Gaussian-splat file and reconstructs its surface, independent of Blender's data."""
 
     def __init__(self, path: Path, cache: Path) -> None:
         self.share = 0.0
@@ -403,7 +406,10 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
 
 
 class HNF_FH_splats(bpy.types.FileHandler):  # type: ignore[misc]
-    """Blender's own handler takes .ply too: a drop then asks which of the two it shall be."""
+    """Drop handler of splat files.
+
+    Blender's own handler takes .ply too: a drop then asks which of the two it shall be.
+    """
 
     bl_idname = "HNF_FH_splats"
     bl_label = "Gaussian splats"

@@ -127,7 +127,7 @@ LAST_CHOICES: dict[str, str] = {}
 
 
 class LearnChoices:
-    """Mixin with the choices of both operators."""
+    """Mixin with the settings of a training, shared by the dialog and the operator that runs it."""
 
     kind: bpy.props.EnumProperty(name="Recordings", description="Where the strokes come from", items=RECORDING_ITEMS)
     folder: bpy.props.StringProperty(
@@ -178,7 +178,7 @@ def poll_can_learn(operator: Any) -> bool:
 
 
 def make_lesson(choices: LearnChoices) -> "LearnRequest":
-    """Return the request for a training. Raises HnfError if a choice is missing."""
+    """Return the request for a training of a material. Raises HnfError if a setting is missing."""
     from hnf_core.training.learn import LearnRequest
 
     simulated = choices.kind == "simulated"
@@ -194,7 +194,7 @@ def make_lesson(choices: LearnChoices) -> "LearnRequest":
 
 
 class HNF_OT_learn(LearnChoices, bpy.types.Operator):  # type: ignore[misc]  # bpy has no types
-    """Dialog that starts hnf.learn_run, since an operator called from a dialog cannot continue modally."""
+    """Dialog that starts the operator hnf.learn_run, since an operator called from a dialog cannot continue modally."""
 
     bl_idname = "hnf.learn"
     bl_label = "Learn a Material…"
@@ -251,7 +251,7 @@ class HNF_OT_learn(LearnChoices, bpy.types.Operator):  # type: ignore[misc]  # b
 
 
 class HNF_OT_learn_run(LearnChoices, ModalJob, bpy.types.Operator):  # type: ignore[misc]
-    """Learn a material. Without REGISTER, since redoing would learn again."""
+    """Learn a haptic material. Without REGISTER, since redoing would learn again."""
 
     bl_idname = "hnf.learn_run"
     bl_label = "Learn Material"
@@ -276,7 +276,7 @@ class HNF_OT_learn_run(LearnChoices, ModalJob, bpy.types.Operator):  # type: ign
         return {"RUNNING_MODAL"}
 
     def _get_job_arguments(self, context: Any) -> tuple[Any, ...]:
-        """Return the arguments of LearnJob. Raises HnfError if a choice is missing."""
+        """Return the arguments of LearnJob (Python, request, slot). Raises HnfError if a setting is missing."""
         from ..jobs.learn_job import MaterialSlot
 
         obj = find_material_object(context)
@@ -287,7 +287,7 @@ class HNF_OT_learn_run(LearnChoices, ModalJob, bpy.types.Operator):  # type: ign
         return f"{tr('Learning a material')}: {format_job(job)}, {format_time_left(job)}"
 
     def report_end(self, ended: LastJob) -> set[str]:
-        """Report the outcome; FINISHED makes an undo step if a material was assigned."""
+        """Report the outcome of the training; FINISHED makes an undo step if a material was assigned."""
         if not ended.ok:
             self.report({"ERROR"}, ended.message)
             return {"CANCELLED"}

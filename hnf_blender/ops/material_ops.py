@@ -1,4 +1,7 @@
-"""Operators of the Materials panel: suggest and choose library materials, and examine a point by a touch query."""
+"""Operators of the Materials panel: suggest and choose library materials, and examine a point by a touch query.
+
+A touch query asks what one point of a surface feels like.
+"""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -29,7 +32,7 @@ ACRONYMS = {"Eva": "EVA"}
 
 @lru_cache(maxsize=1)
 def list_library_items() -> tuple[tuple[str, str, str], ...]:
-    """Return the library as menu items, grouped by category: "Wood ▸ Oak wood".
+    """Return the library of haptic materials as menu items, grouped by category: "Wood ▸ Oak wood".
 
     Cached, because Blender keeps no reference to the strings of dynamic items.
     """
@@ -131,7 +134,7 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]
 
     @classmethod
     def description(cls, _context: Any, properties: Any) -> str:
-        """Return the tooltip, for a suggestion with its reason."""
+        """Return the tooltip of the button; for a suggested material with the reason of its rank."""
         ranked = STATE.suggestions.get(properties.material, ()) if properties.is_property_set("name") else ()
         reason = next((suggestion.reason for suggestion in ranked if suggestion.name == properties.name), "")
         text = tr(cls.bl_description)
@@ -201,7 +204,7 @@ class HNF_OT_stroke_material_auto(bpy.types.Operator):  # type: ignore[misc]
 
 
 def _find_material(name: str) -> Any:
-    """Return the material with this full name, else with this name, else None.
+    """Return the Blender material with a full name (which includes a library's file), else with the name, or None.
 
     A linked material may have the name of a local one; scripts give the plain name.
     """
@@ -234,7 +237,10 @@ def _assign_library_material(operator: Any, material_name: str, library_name: st
 
 
 class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # bpy has no types, Blender's naming
-    """Modal touch query: waits for a click, then runs the job. Without REGISTER, since redoing would run it again."""
+    """Touch query (what a point feels like): waits for a click, then runs the job.
+
+    Without REGISTER, since redoing would run it again.
+    """
 
     bl_idname = "hnf.probe"
     bl_label = "Examine a Place"

@@ -25,7 +25,7 @@ def poll_no_job(operator: Any) -> bool:
 
 
 class ModalJob:
-    """Mixin of modal operators that run a job.
+    """Mixin of modal operators that run a job (bake, touch query, learning) in a child process.
 
     Subclasses implement `format_status` and `report_end`, and extend `clean_up` for what they add to the window.
     """
@@ -38,7 +38,7 @@ class ModalJob:
         raise NotImplementedError
 
     def report_end(self, ended: LastJob) -> set[str]:
-        """Report the outcome and return the operator's result."""
+        """Report the outcome of the job and return the operator's result."""
         raise NotImplementedError
 
     def run_blocking(self, run: Callable[[], LastJob]) -> set[str]:
@@ -87,7 +87,7 @@ class ModalJob:
         self.finish(context, None)
 
     def update_status(self, context: Any) -> None:
-        """Show the progress in status bar and panels."""
+        """Show the progress of the job in status bar and panels."""
         job = STATE.job
         if job is not None:
             context.workspace.status_text_set(f"{self.format_status(job)}.  {tr('Esc over the 3-D view: cancel')}")
@@ -102,7 +102,7 @@ class ModalJob:
             context.workspace.status_text_set(None)
 
     def finish(self, context: Any, ended: LastJob | None) -> set[str]:
-        """Clean up and report the outcome; None means there is nothing to report."""
+        """Clean up and report the outcome of the job; None means there is nothing to report."""
         self.clean_up(context)
         redraw_tab()
         return {"CANCELLED"} if ended is None else self.report_end(ended)

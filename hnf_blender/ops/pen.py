@@ -32,7 +32,7 @@ Sample = tuple[tuple[float, float, float], float, float, bool]
 
 
 class Pen:
-    """Recorder of one stroke from press to release; `close` must be called in any case.
+    """Recorder of one drawn stroke from press to release; `close` must be called in any case.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Pen:
         )
 
     def close(self, context: Any) -> None:
-        """Remove the line and the text of the status bar."""
+        """Remove the drawn line and the text of the status bar."""
         import bpy
 
         if self._handle is not None:
@@ -80,11 +80,11 @@ class Pen:
 
     @property
     def is_click(self) -> bool:
-        """True if the pen moved less than a trembling hand does."""
+        """True if the pen moved less than a trembling hand moves it, so that no stroke was meant."""
         return self._travelled_px < CLICK_PX
 
     def press(self, context: Any, event: Any, region: Any) -> bool:
-        """Begin in a region of a 3-D view; return False, with `reject_reason`, if there is nothing to touch."""
+        """Begin a stroke in a region of a 3-D view; return False, with `reject_reason`, if nothing can be touched."""
         self.reject_reason = tr("No mesh under the pen: press on a surface that is visible here")
         if context.mode != "OBJECT":
             self.reject_reason = tr("Strokes are drawn in Object Mode: press Tab")
@@ -109,9 +109,9 @@ class Pen:
         return True
 
     def move(self, context: Any, event: Any) -> None:
-        """Process an event of the pen.
+        """Process a movement of the pen.
 
-        Intermediate events are processed with the next regular one, and their times spread evenly.
+        Blender's intermediate events are processed with the next regular one, and their times spread evenly.
         """
         x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
         self._pending.append((x, y, self._read_pressure(event)))
@@ -151,7 +151,7 @@ class Pen:
         self._last = to
 
     def _add_rest(self, until: float) -> None:
-        """Repeat the last sample at the end of a rest without events, since the pen did not move before."""
+        """Repeat the last sample at time `until`, the end of a rest, since the pen did not move without events."""
         self._local.append(self._local[-1])
         self._pressure.append(self._pressure[-1])
         self._touching.append(self._touching[-1])
@@ -191,7 +191,7 @@ class Pen:
         self._area.tag_redraw()
 
     def _draw(self) -> None:
-        """Draw the line so far, coloured by force; called by Blender after drawing the 3-D view."""
+        """Draw the line so far, colored by force; called by Blender after drawing the 3-D view."""
         import bpy
         import gpu
         from gpu_extras.batch import batch_for_shader
@@ -219,8 +219,7 @@ def is_cancel_event(context: Any, event: Any, *, pressed: bool = False) -> bool:
     """Return whether an event cancels an operator that waits for the pen.
 
     Esc over a 3-D view and a right click into one cancel, so other editors keep theirs; with the pen `pressed` they
-    cancel
-    anywhere.
+    cancel anywhere.
     """
     if event.value != "PRESS":
         return False

@@ -1,4 +1,4 @@
-"""Operators of the Preview panel: play, stop, pause, and compare with a reference."""
+"""Operators of the Preview panel: play, stop, pause, and compare with a reference (an earlier signal that was kept)."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 

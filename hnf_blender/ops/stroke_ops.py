@@ -32,7 +32,7 @@ NOT_SELECTED_REASON = "No stroke is selected: click one in the Touch tab, or dra
 
 
 def describe_primitive(primitive: Primitive) -> str:
-    """Describe a primitive for its tooltip: "Scrape at 0.5 N and 100 mm/s"."""
+    """Describe a primitive (predefined stroke) for its tooltip: "Scrape at 0.5 N and 100 mm/s"."""
     return f"{primitive.kind.capitalize()} at {primitive.force:g} N and {primitive.speed * 1e3:g} mm/s"
 
 
@@ -299,7 +299,7 @@ def require_local(stroke: Any, remedy: str) -> None:
 
 
 def convert_to_curve(stroke: Any) -> str:
-    """Turn a stroke into a plain curve and return a message."""
+    """Turn a stroke into a plain curve object and return a message for the user."""
     from ..touch.bake_storage import clear_bake
 
     clear_bake(stroke)

@@ -18,20 +18,20 @@ from .preview_state import PREVIEW, PreviewFacts, get_preview_facts, get_preview
 __all__ = ["PreviewFacts", "get_preview_facts", "get_preview_icon"]
 
 INTERVAL_S = 0.04
-"""Interval of the timer while nothing is being synthesised [s]."""
+"""Interval of the timer while nothing is being synthesized [s]."""
 BUSY_INTERVAL_S = 0.01
-"""Interval of the timer while a signal is being synthesised [s]."""
+"""Interval of the timer while a signal is being synthesized [s]."""
 TICK_BUDGET_S = 0.02
 """Time per tick for checking strokes other than the active one [s]."""
 BUSY_DELAY_S = 0.5
-"""Time after which the panel shows that a signal is being synthesised [s].
+"""Time after which the panel shows that a signal is being synthesized [s].
 
 Showing it at once would delay the signal: no results are collected while Blender draws.
 """
 
 
 class SceneSnapshot:
-    """State of a scene that a window shows, as of the last tick.
+    """What was seen of a scene at the last tick of the timer, to notice changes.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class SceneSnapshot:
     shown : object
         What the panels show of the active stroke and the actuator.
     busy_since : float
-        Monotonic time since which the active stroke is being synthesised [s]; infinite if it is not.
+        Monotonic time since which the active stroke is being synthesized [s]; infinite if it is not.
     pending : list of str
         Names of strokes that are still to be checked.
     """
@@ -70,7 +70,7 @@ def on_load_post(*_: Any) -> None:
 
 
 def on_depsgraph_update(scene: Any, depsgraph: Any = None) -> None:
-    """Request the active stroke's signal, which is synthesised while Blender draws (handler depsgraph_update_post)."""
+    """Request the active stroke's signal, which is synthesized while Blender draws (handler depsgraph_update_post)."""
     import bpy
 
     if PREVIEW.synthesis_thread is None or depsgraph is None:
@@ -207,7 +207,7 @@ def _update_scene(context: Any, updated: set[str], ended: bool, *, is_first: boo
 
 
 def _delay_busy(facts: PreviewFacts | None, snapshot: SceneSnapshot) -> PreviewFacts | None:
-    """Return the facts that the panel shows: busy only after BUSY_DELAY_S."""
+    """Return the facts that the panel shows, in which a synthesis counts as running only after BUSY_DELAY_S."""
     if facts is None or not facts.busy:
         snapshot.busy_since = math.inf
         return facts

@@ -58,7 +58,7 @@ class OutputRouter:
         self._playing.resume()
 
     def update(self) -> None:
-        """Stop handles that have faded out and start what waited for them; called by the timer."""
+        """Stop sounds that have faded out and start what waited for them; called by the timer."""
         self._speakers.update()
 
     @property
@@ -123,9 +123,9 @@ def refresh(obj: Any, context: Any, *, wait: bool, first: bool = True) -> Previe
     context : bpy.types.Context
         Gives the scene and the image style.
     wait : bool
-        Synthesise here and now; otherwise request it from the thread, and `collect_results` stores it.
+        Synthesize here and now; otherwise request it from the thread, and `collect_results` stores it.
     first : bool
-        Synthesise it before all other requested strokes.
+        Synthesize it before all other requested strokes.
 
     Returns
     -------
@@ -235,7 +235,7 @@ def stop() -> None:
 
 
 def toggle_ab(name: str) -> bool:
-    """Switch between reference A and the newest signal; return False if there is no reference."""
+    """Switch between reference A (a signal that was kept) and the newest signal; return False without a reference."""
     if name not in PREVIEW.references:
         return False
     PREVIEW.showing_reference ^= {name}
@@ -244,7 +244,7 @@ def toggle_ab(name: str) -> bool:
 
 
 def get_problem(name: str, scene: Any) -> str:
-    """Return why a stroke's preview does not hold; "" if it does."""
+    """Return why a stroke's preview is not valid any more; "" if it is."""
     status = STATE.get_statuses(scene).get(name)
     if status is not None and status.freshness in INVALID_STATES:
         return status.why
@@ -252,7 +252,7 @@ def get_problem(name: str, scene: Any) -> str:
 
 
 def update_facts(name: str, scene: Any) -> PreviewFacts:
-    """Make and store the facts of a stroke that the panels show."""
+    """Make and store what the panels show of a stroke's signal."""
     shown, profile = PREVIEW.get_shown(name), get_actuator_profile(scene)
     requested = PREVIEW.requested.get(name)
     newest = PREVIEW.results.get(name)
@@ -283,7 +283,7 @@ def update_facts(name: str, scene: Any) -> PreviewFacts:
 
 
 def describe_signal(shown: PreviewResult, profile: ActuatorProfile, gain_db: float) -> list[str]:
-    """Return lines of text with a signal's level, headroom, bands outside the range, clipping and warnings."""
+    """Return lines of text on a signal's level, headroom, energy outside the actuator's band, clipping, warnings."""
     levels = compute_levels(shown, profile)
     template = tr("{seconds} s; peak {peak} m/s², RMS {rms} m/s²")
     lines = [
@@ -346,7 +346,7 @@ def get_image_style(context: Any) -> ImageStyle:
 
 
 def _get_theme(context: Any) -> Theme:
-    """Return the dark or light theme, whichever fits the text colour of Blender's buttons."""
+    """Return the dark or light theme, whichever fits the text color of Blender's buttons."""
     from .stroke_image import DARK, LIGHT
 
     themes = context.preferences.themes

@@ -1,6 +1,6 @@
 """Export of a stroke's signal: to files, sequencer strips and speakers, with a sentence on what each file lost.
 
-Only signals whose bake is fresh are exported; `get_current_signal` checks that.
+Only signals whose bake is still valid are exported; `get_current_signal` checks that.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def _get_blend_name(obj: Any) -> str:
 
 
 def _find_free_path(folder: Path, author: SourceStroke, ending: str) -> Path:
-    """Return the path for the author's stroke in `folder`, without overwriting another stroke's file.
+    """Return the path for the stroke `author` in `folder`, without overwriting another stroke's file.
 
     A file of another .blend adds this .blend's name to the path, a file of another stroke a number.
     """

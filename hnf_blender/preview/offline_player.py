@@ -1,6 +1,7 @@
 """Playback on an actuator behind a sound card through Blender's own sound, for systems without `sounddevice`.
 
-Compensation and limits are applied to the complete sound beforehand; live touch is not possible this way.
+The inverse filter of the actuator and its limits are applied to the complete sound beforehand; live touch is not
+possible this way.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class OfflinePlayer:
         self._sound: Sound | None = None
 
     def play(self, sound: Sound) -> None:
-        """Play `sound` after what plays has faded out. Raises SceneError without a sound device."""
+        """Play `sound` after the current one has faded out. Raises SceneError without a sound device."""
         device_rate_hz = self._speakers.rate_hz()
         first_sample = round(sound.start_s * sound.rate)
         remaining = np.roll(sound.samples, -first_sample) if sound.loop else sound.samples[first_sample:]
@@ -40,7 +41,7 @@ class OfflinePlayer:
         self._sound = sound
 
     def change(self, sound: Sound) -> None:
-        """Continue as another sound at the same position. Raises SceneError without a sound device."""
+        """Continue with another sound at the same position. Raises SceneError without a sound device."""
         was_paused = self.is_paused
         self.play(replace(sound, start_s=min(self.position_s, sound.duration_s)))
         if was_paused:
@@ -83,7 +84,10 @@ class OfflinePlayer:
 def process_for_output(
     samples: NDArray[np.float32], from_hz: float, to_hz: float, profile: ActuatorProfile, *, loop: bool = False
 ) -> NDArray[np.float32]:
-    """Apply the inverse filter of the actuator's response, if known, then the limits; see `limit_offline`."""
+    """Prepare samples (n,) [m/s²] for an actuator: inverse filter of its response, if known, then its limits.
+
+    Returns fractions of full scale (m, 1) at `to_hz`; see `limit_offline`.
+    """
     compensated = np.where(np.isfinite(samples), samples, np.float32(0.0)).astype(np.float32)[:, None]
     for stage in make_compensation(profile, from_hz, 1):
         compensated = stage.process(compensated)

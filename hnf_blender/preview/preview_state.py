@@ -29,7 +29,7 @@ class PreviewFacts(NamedTuple):
     has_kept : bool
         Whether there is a reference A.
     busy : bool
-        Whether a newer signal is being synthesised.
+        Whether a newer signal is being synthesized.
     playing, paused : bool
         Whether the stroke plays, and whether it is paused.
     problem : str
@@ -54,7 +54,7 @@ class PreviewFacts(NamedTuple):
 
 
 class PreviewState:
-    """Preview of all strokes, by stroke name.
+    """Signals, reference signals and problems of all strokes' previews, by stroke name.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class PreviewState:
     losses : str
         Full report on the last export.
     synthesis_thread : SynthesisThread or None
-        Thread that synthesises the requests.
+        Thread that synthesizes the requests.
     """
 
     def __init__(self) -> None:
@@ -100,7 +100,7 @@ class PreviewState:
         self.synthesis_thread: SynthesisThread | None = None
 
     def get_shown(self, name: str) -> PreviewResult | None:
-        """Return the shown signal of a stroke: reference A, or the newest."""
+        """Return the signal of a stroke that is shown: reference A (kept by the user), or the newest."""
         return self.references.get(name) if name in self.showing_reference else self.results.get(name)
 
     @property

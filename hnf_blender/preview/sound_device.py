@@ -1,6 +1,6 @@
-"""Playback on Blender's sound device (aud): acceleration [m/s²] → samples in −1 … 1 at the monitor's gain.
+"""Playback on Blender's sound device (aud): acceleration [m/s²] → samples in −1 … 1 at the monitor gain.
 
-The signal itself never changes.
+The monitor gain is the user's listening volume; the signal itself never changes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ A fingertip's 1 m/s² is then 20 dB below full scale: well audible, and strokes 
 
 
 def compute_monitor_gain(gain_db: float) -> float:
-    """Return the full-scale fraction per m/s² at a monitor gain [dB]."""
+    """Return the sample value (1 = full scale) per m/s² at a monitor gain [dB]."""
     return float(10.0 ** (gain_db / 20.0) / FULL_SCALE_M_S2)
 
 
@@ -36,7 +36,7 @@ def apply_monitor_gain(samples: NDArray[np.float32], gain_db: float) -> NDArray[
 
 
 def compute_clipping_db(peak_m_s2: float, gain_db: float) -> float:
-    """Return how far a peak exceeds full scale [dB]; 0 if it does not."""
+    """Return how far a peak [m/s²] exceeds the sound device's full scale at a monitor gain [dB]; 0 if it does not."""
     loudest = peak_m_s2 * compute_monitor_gain(gain_db)
     return float(20.0 * np.log10(loudest)) if loudest > 1.0 else 0.0
 
@@ -70,7 +70,7 @@ class Speakers:
         self.replace(apply_monitor_gain(sound.samples, sound.gain_db), sound.rate, loop=sound.loop)
 
     def replace(self, samples: NDArray[np.float32], rate: float, *, loop: bool = False) -> None:
-        """Replace what plays at its current position; what is paused stays paused."""
+        """Continue with other samples at the current position; what is paused stays paused."""
         position_s, was_paused = self.position_s, self.is_paused
         self.start(samples, rate, loop=loop, start_s=min(position_s, len(samples) / rate), paused=was_paused)
         if was_paused:
@@ -169,7 +169,7 @@ class Speakers:
         return self._device
 
     def use_shared_device(self, shared: bool) -> None:
-        """Stop, and play from now on on the device that Blender has open, or again on a separate one."""
+        """Stop; from now on play on the sound device that Blender has open, or again on a separate one."""
         self.release()
         self._is_shared = shared
 
@@ -195,7 +195,7 @@ class Speakers:
         self._paused_at = None
 
     def update(self) -> None:
-        """Stop handles that have faded out and start what waited for them; called by the timer."""
+        """Stop sounds that have faded out and start what waited for them; called by the timer."""
         now = time.monotonic()
         faded_handles = [handle for since, handle in self._fading if now - since >= FADE_S]
         self._fading = [entry for entry in self._fading if now - entry[0] < FADE_S]

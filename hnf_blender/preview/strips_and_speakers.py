@@ -24,9 +24,10 @@ STAMP_PROPERTY = "hnf_stroke_stamp"
 
 
 def find_linked_strips(stroke: Any, scene: Any, candidates: Iterable[Any]) -> list[Any]:
-    """Return the candidates that are linked to the stroke.
+    """Return the strips or speakers among `candidates` that play a stroke.
 
-    The identity decides; the name does if the identity is missing, as in old files, or shared with a duplicate.
+    The stroke's identity, stored on both, decides; its name does if the identity is missing, as in old files, or shared
+    with a duplicate.
     """
     strokes = list_strokes(scene)
 
@@ -41,7 +42,7 @@ def find_linked_strips(stroke: Any, scene: Any, candidates: Iterable[Any]) -> li
 
 
 def find_outdated_strips(stroke: Any, scene: Any, stamp: str) -> list[str]:
-    """Return the names of the stroke's strips and speakers whose signal does not have `stamp`."""
+    """Return the names of a stroke's strips and speakers that play an earlier signal than the one with hash `stamp`."""
     import bpy
 
     from ..compat import sequencer_strips
@@ -53,7 +54,7 @@ def find_outdated_strips(stroke: Any, scene: Any, stamp: str) -> list[str]:
 
 
 def mark_linked(strip: Any, stroke: Any, scene: Any, stamp: str) -> None:
-    """Link a strip or speaker to a stroke and to the signal with `stamp`.
+    """Link a strip or speaker to a stroke and to the signal with hash `stamp`.
 
     A stroke from a linked library keeps no identity, so its name alone links it.
     """
@@ -76,7 +77,7 @@ SYMBOL_SIZE_FRACTION = 0.25
 
 
 def get_bounding_box_centre(obj: Any) -> tuple[float, float, float]:
-    """Return the centre of an object's bounding box, in world coordinates [Blender units]."""
+    """Return the center of an object's bounding box, in world coordinates [Blender units]."""
     corners = _get_world_corners(obj)
     x, y, z = (corners.min(axis=0) + corners.max(axis=0)) / 2.0
     return float(x), float(y), float(z)

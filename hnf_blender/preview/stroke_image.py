@@ -1,6 +1,7 @@
 """Image of a stroke for the panel: waveform, spectrogram, force and speed over one time axis.
 
-A signal and its action go in, a (512, 512, 4) RGBA array comes out; a 5 × 7 dot font labels the axes.
+A signal and its action (direction, speed and force over time) go in, a (512, 512, 4) RGBA array comes out; a 5 × 7 dot
+font labels the axes.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ _GLYPH_COLUMNS = {
 
 
 def rasterise_text(text: str) -> NDArray[np.bool_]:
-    """Return a (7, 6 · len) mask, True for ink, the top row first. Raises KeyError for a character without a glyph."""
+    """Return a mask (7, 6 · len) of a text in a 5 × 7 dot font, True for ink, the top row first.
+
+    Raises KeyError for a character without a glyph.
+    """
     columns = [bytes.fromhex(_GLYPH_COLUMNS[character]) + b"\0" for character in text]
     lines = np.frombuffer(b"".join(columns), np.uint8)
     return np.asarray((lines[None, :] >> np.arange(GLYPH_HEIGHT)[:, None]) & 1, dtype=bool)
@@ -57,7 +61,7 @@ GLYPH_SCALE = 2
 
 @dataclass(frozen=True)
 class Theme:
-    """Colours, each 0 to 1; force and speed have the hues of the plots of `hnf_core.export.plots.figure`."""
+    """Colors of the image, 0 to 1 each; force and speed have the hues of plots by `hnf_core.export.plots.figure`."""
 
     back: Colour
     ink: Colour
@@ -76,12 +80,12 @@ LIGHT = Theme((0.96, 0.96, 0.96), (0.10, 0.10, 0.10), (0.74, 0.74, 0.76), (0.08,
 
 @dataclass(frozen=True)
 class ImageStyle:
-    """Style of the image.
+    """Style of the image of a stroke.
 
     Attributes
     ----------
     theme : Theme
-        Colours.
+        Colors.
     limit_m_s2 : float or None
         Largest acceleration of the actuator, drawn as two dashed lines [m/s²].
     logarithmic : bool
@@ -94,7 +98,7 @@ class ImageStyle:
 
 
 def draw_stroke_image(signal: Signal, action: Action, style: ImageStyle) -> Rgba:
-    """Draw a signal and its action; return (512, 512, 4) float32 RGBA in 0–1, the bottom row first."""
+    """Draw a signal and its action (force and speed); return (512, 512, 4) float32 RGBA in 0–1, bottom row first."""
     theme = style.theme
     canvas = np.empty((SIZE_PX, SIZE_PX, 4), dtype=np.float32)
     canvas[..., :3], canvas[..., 3] = theme.back, 1.0
@@ -128,7 +132,7 @@ def round_up_nicely(value: float) -> float:
 
 
 def draw_wave(area: Rgba, signal: Signal, theme: Theme, limit_m_s2: float | None) -> None:
-    """Draw the acceleration [m/s²], scaled to a round number above its peak."""
+    """Draw the acceleration [m/s²] over time, scaled to a round number above its peak."""
     rows, width = area.shape[:2]
     peak = float(np.abs(signal.samples).max(initial=0.0))
     scale = round_up_nicely(peak)
@@ -176,7 +180,7 @@ def draw_spectrogram(area: Rgba, signal: Signal, theme: Theme, logarithmic: bool
 
 
 def draw_action(area: Rgba, action: Action, theme: Theme) -> None:
-    """Draw force [N] and speed [mm/s], each from 0 to a round number of its own."""
+    """Draw force [N] and speed [mm/s] over time, each from 0 to a round number of its own."""
     rows, width = area.shape[:2]
     area[rows - 1, :, :3] = theme.faint
     texts = []
@@ -193,7 +197,7 @@ def draw_action(area: Rgba, action: Action, theme: Theme) -> None:
 
 
 def map_heat_colours(shade: NDArray[np.float64], theme: Theme) -> NDArray[np.float32]:
-    """Map 0–1 to colours (…, 3): from the background through blue and orange to the ink."""
+    """Map 0–1 to colors (…, 3): from the background through blue and orange to the ink."""
     stops = np.array([theme.back, theme.wave, theme.force, theme.ink])
     positions = np.array([0.0, 0.45, 0.8, 1.0])
     return np.stack([np.interp(shade, positions, stops[:, k]) for k in range(3)], axis=-1).astype(np.float32)

@@ -1,7 +1,8 @@
 """Synthesis of previews in a thread: the current bake of a stroke → signal, confidence and image.
 
-`read_current_bake` reads the stored bake with the force, probe and seed of now; `synthesise_preview` renders it
-incrementally; `SynthesisThread` does so outside Blender's main thread, the newest request of each stroke first.
+A bake is all that a signal is synthesized from. `read_current_bake` reads the stored one with the force, probe and seed
+of now; `synthesise_preview` renders it, again only where it changed; `SynthesisThread` does so outside Blender's main
+thread, the newest request of each stroke first.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class CurrentBake:
 def read_current_bake(obj: Any, scene: Any) -> CurrentBake | None:
     """Return the stored bake with the stroke's current force, probe and seed; None if nothing is baked.
 
-    Surface, path and timing are not compared: `state.status_tracker` checks whether the bake still holds for them.
+    Surface, path and timing are not compared: `state.status_tracker` checks whether the bake is still valid for them.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ CACHE_LIMIT_BYTES = 400_000_000
 
 @dataclass(frozen=True)
 class PreviewResult:
-    """Synthesised signal of a stroke with its image.
+    """Synthesized signal of a stroke with its image.
 
     Attributes
     ----------
@@ -147,7 +148,7 @@ class PreviewResult:
 
 @dataclass
 class RenderCache:
-    """Last render of every path, newest last, limited to CACHE_LIMIT_BYTES."""
+    """Last rendered signal of every path, the newest last, limited to CACHE_LIMIT_BYTES."""
 
     items: OrderedDict[str, RenderedStroke] = field(default_factory=OrderedDict)
 
@@ -164,7 +165,7 @@ class RenderCache:
 def synthesise_preview(
     now: CurrentBake, style: ImageStyle, cache: RenderCache, is_superseded: Callable[[], bool] = lambda: False
 ) -> PreviewResult:
-    """Synthesise a stroke and draw its image, starting from the cached render of the same path if there is one.
+    """Synthesize a stroke and draw its image, starting from the cached signal of the same path if there is one.
 
     Parameters
     ----------
@@ -182,7 +183,7 @@ def synthesise_preview(
     Superseded
         If `is_superseded` returns True.
     StrokeError
-        If the stroke cannot be synthesised.
+        If the stroke cannot be synthesized.
     """
     bake = now.bake
     field_parts, renders = split_by_field(load_field(), bake.stroke), []
@@ -217,7 +218,7 @@ Outcome = PreviewResult | str
 
 
 class SynthesisThread:
-    """Thread that synthesises requested strokes; the newest request of each stroke replaces earlier ones.
+    """Thread that synthesizes requested strokes; the newest request of each stroke replaces earlier ones.
 
     A request with `first` interrupts the synthesis of other strokes, which are started again afterwards.
     """
@@ -247,7 +248,7 @@ class SynthesisThread:
             self._condition.notify()
 
     def pop_results(self) -> dict[str, Outcome]:
-        """Return the outcomes since the last call, by stroke name."""
+        """Return the signals or errors since the last call, by stroke name."""
         with self._condition:
             done, self._done = self._done, {}
             return done

@@ -1,4 +1,4 @@
-"""Playback of strokes with Blender's timeline: baked strokes at their start frames → one mixed, synchronised track.
+"""Playback of strokes with Blender's timeline: baked strokes at their start frames → one mixed, synchronized track.
 
 `mix_strokes` mixes the strokes from a frame on; `PlayheadFollower` plays the mix and follows jumps of the playhead.
 """
@@ -75,7 +75,10 @@ def mix_strokes(strokes: Sequence[PlacedSignal], frame: float, last_frame: float
 
 
 def has_jumped(frame: float, expected_s: float, start_frame: float, clock: FrameClock) -> bool:
-    """Return whether the timeline differs from the sound, which has played for `expected_s` since `start_frame`."""
+    """Return whether the timeline has jumped away from the sound.
+
+    `frame` is shown now; the sound has played for `expected_s` [s] since `start_frame`.
+    """
     return abs(clock.seconds(frame, start_frame) - expected_s) > MAX_DRIFT_S + clock.seconds(1.0, 0.0)
 
 
@@ -91,7 +94,7 @@ The device stays open when the playhead moves, since opening it takes longer. An
 
 
 class PlayheadFollower:
-    """Playback of the timeline.
+    """Player of the scene's strokes along Blender's timeline.
 
     Attributes
     ----------
@@ -112,7 +115,7 @@ class PlayheadFollower:
         return self.start_frame is not None and self.scene == scene.name
 
     def wait(self, scene: Any) -> None:
-        """Start playback with the next shown frame."""
+        """Make playback start with the next frame that is shown."""
         self.start_frame, self.scene, self.is_waiting = float(scene.frame_current_final), scene.name, True
 
     def start(self, scene: Any) -> None:
@@ -185,7 +188,7 @@ FOLLOWER = PlayheadFollower()
 
 
 def make_sound_ahead(scene: Any, last_frame: float) -> Sound | None:
-    """Return the sound from the current frame to the end of `last_frame`; None if there is none."""
+    """Return the mixed strokes from the current frame to the end of `last_frame`; None if there are none."""
     from .controller import make_sound
 
     clock = FrameClock(float(scene.render.fps), float(scene.render.fps_base))
@@ -201,7 +204,7 @@ def pad_with_silence(sound: Sound) -> Sound:
 
 
 def list_placed_signals(scene: Any) -> list[Any]:
-    """Return the valid signals of strokes that are not muted, at their start frames."""
+    """Return the valid signals of strokes that are not muted, with their start frames."""
     from ..props.scene_settings import list_cached_strokes
     from .controller import get_problem
 

@@ -1,4 +1,4 @@
-"""Property group Material.hnf_touch: the library material that the artist chose for a Blender material.
+"""Property group Material.hnf_touch: the haptic library material that the user chose for a Blender material.
 
 Also here: registration of property groups, all of which allow library overrides, so that a linked stroke can be set
 differently in this file.

@@ -45,7 +45,7 @@ CHANGES = ChangeCounter()
 
 
 class CachedFilter:
-    """Cached list of a scene's objects that satisfy a predicate.
+    """Cached list of a scene's objects that satisfy a predicate, such as being a stroke.
 
     Indices are cached, never references, and the predicate is checked again for each of them.
     """

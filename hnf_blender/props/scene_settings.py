@@ -27,7 +27,7 @@ from .stroke_settings import FORCE_MAX_N
 
 
 class FormatChoice(NamedTuple):
-    """Export format as the artist chooses it.
+    """Export format as the user chooses it in the Export panel.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ _profiles: dict[str, ActuatorProfile] = {}
 
 
 def read_file_profile(path: str) -> ActuatorProfile:
-    """Read a profile file; its path becomes the profile's name, by which the player reads it again with its response.
+    """Read an actuator profile file; its path becomes the profile's name, by which the player reads it again.
 
     If it cannot be read, the profile is empty, `source` is the reason, and the player refuses it.
     """
@@ -89,7 +89,7 @@ def read_file_profile(path: str) -> ActuatorProfile:
 
 
 def get_cached_profile(path: str) -> ActuatorProfile:
-    """Return the profile as `read_file_profile` last read it, without access to the disk; for panels."""
+    """Return the actuator profile as `read_file_profile` last read it, without access to the disk; for panels."""
     return _profiles.get(path) or ActuatorProfile(path, _make_title(path), tr("Not read yet"))
 
 
@@ -103,7 +103,7 @@ def _read_mtime(path: str, _when: int) -> int:
 
 @lru_cache(maxsize=4)
 def _read_profile(path: str, _mtime: int) -> ActuatorProfile:
-    from hnf_core.actuators.profile import read_profile
+    from hnf_core.actuators.profile_json import read_profile
 
     try:
         if not path.lower().endswith(".json"):
@@ -289,7 +289,10 @@ def find_namesake(scene: Any, stroke: Any) -> Any:
 
 
 def find_index(objects: Any, obj: Any) -> int:
-    """Return the index of `obj` in a collection of objects, or −1; a linked and a local object may share the name."""
+    """Return the index of the very object `obj` in a collection, or −1.
+
+    It is compared by identity, as a linked and a local object may share the name.
+    """
     position = int(objects.find(obj.name))
     if position < 0 or objects[position] == obj:
         return position

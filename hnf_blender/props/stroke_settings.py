@@ -1,6 +1,7 @@
 """Property group Object.hnf_stroke: what makes a curve object a stroke, with its timing, force and probe.
 
-Force and progress are animated like any property, so the Graph Editor edits them.
+The probe is the tip that touches, pen or finger. Force and progress are animated like any property, so the Graph Editor
+edits them.
 """
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.

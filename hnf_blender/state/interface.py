@@ -77,7 +77,7 @@ def restore_active_stroke(scene: Any) -> bool:
 
 
 def clear_active_strokes() -> None:
-    """Forget the selection, since another file was opened."""
+    """Forget which stroke is selected in the list of each scene, since another file was opened."""
     _active_strokes.clear()
 
 

@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Relief:
-    """Relief of a material as a touch query found it: its token, and the route of the tactile map behind it."""
+    """Relief of a material as a touch query found it: token and route.
+
+    The token describes its wavelength bands; the route says whether it was measured, predicted or prior.
+    """
 
     token: Token
     route: Route
@@ -20,7 +23,10 @@ class Relief:
 
 @dataclass(frozen=True)
 class NearestMaterial:
-    """Library material and the confidence of its ranking; `distance` is that of its token, None without a relief."""
+    """Library material similar to the result of a touch query, with the confidence of its ranking.
+
+    `distance` is the distance of its token from the query's, None without a relief.
+    """
 
     name: str
     confidence: float
@@ -30,7 +36,7 @@ class NearestMaterial:
 
 @dataclass(frozen=True)
 class QueryView:
-    """Result of a touch query.
+    """Result of a touch query (what one point feels like), as the panel shows it.
 
     Attributes
     ----------

@@ -54,7 +54,7 @@ class FirstStep(NamedTuple):
 
 
 def describe_status(status: StrokeStatus | None) -> tuple[str, str]:
-    """Return icon and sentence of a stroke's status; its own reason takes precedence."""
+    """Return icon and sentence of a stroke's status (whether its bake is valid); its own reason takes precedence."""
     freshness = Freshness.UNKNOWN if status is None else status.freshness
     icon, text = STATUS_LABELS[freshness]
     return icon, tr(status.why if status is not None and status.why else text)
@@ -136,7 +136,7 @@ def compute_progress(job: JobStatus) -> float:
 
 
 def format_estimate(plan: PlanView) -> str:
-    """Format time and size of a plan; "" if nothing is needed."""
+    """Format the estimated time and size of a planned bake; "" if nothing is needed."""
     if not any(line.kind == "needed" for line in plan.lines):
         return ""
     return tr("Takes {time}; keeps {size} in the .blend").format(
@@ -145,7 +145,7 @@ def format_estimate(plan: PlanView) -> str:
 
 
 def group_plan_lines(plan: PlanView) -> tuple[tuple[str, str, tuple[PlanLine, ...]], ...]:
-    """Return icon, heading with count, and lines for every kind of line in the plan."""
+    """Return icon, heading with count, and lines for every kind of line (needed, fresh, …) in the plan of a bake."""
     groups = []
     for kind, (icon, heading) in PLAN_LABELS.items():
         lines = tuple(line for line in plan.lines if line.kind == kind)
@@ -155,7 +155,7 @@ def group_plan_lines(plan: PlanView) -> tuple[tuple[str, str, tuple[PlanLine, ..
 
 
 def format_routes(routes: str) -> tuple[str, ...]:
-    """Format "8–2 mm measured, 1–0.125 mm prior" as one line per band, in an artist's words."""
+    """Format "8–2 mm measured, 1–0.125 mm prior" as one line per wavelength band, in the user's words."""
     lines = []
     for band in filter(None, routes.split(", ")):
         match = re.fullmatch(r"(.* mm) (\w+)", band)
@@ -167,7 +167,7 @@ def format_routes(routes: str) -> tuple[str, ...]:
 
 
 def format_reason(reason: str) -> str:
-    """Format a ranking reason, e.g. "'oak' in 'Old oak table'; roughness 0.60 fits".
+    """Format the reason of a material's rank, e.g. "'oak' in 'Old oak table'; roughness 0.60 fits".
 
     The example becomes "the name says oak; roughness 0.60 fits".
     """
@@ -214,7 +214,7 @@ def format_stiffness(newton_per_metre: float, factor: float) -> str:
 
 
 def _format_likeness(reason: str) -> str:
-    """Translate "its relief is like denim's"."""
+    """Translate a reason of the form "its relief is like denim's"."""
     return tr("its relief is like {name}").format(
         name=reason.removeprefix(f"{RELIEF_PREFIX} is like ").removesuffix("'s")
     )

@@ -67,7 +67,7 @@ class LastJob(NamedTuple):
 
 
 class PlanLine(NamedTuple):
-    """Line of the plan in the Scene panel; `kind` is "needed", "fresh", "skipped", "failed" or "note"."""
+    """Line of the plan of a bake in the Scene panel; `kind` is "needed", "fresh", "skipped", "failed" or "note"."""
 
     kind: str
     what: str
@@ -75,7 +75,7 @@ class PlanLine(NamedTuple):
 
 
 class PlanView(NamedTuple):
-    """Plan of a bake.
+    """Plan of a bake: what it would do, for the Scene panel.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ def get_shown_name(scene: Any, obj: Any) -> str:
 
 
 class SessionState:
-    """State of the session.
+    """State of the session: statuses of strokes, the running job and the last results.
 
     Attributes
     ----------
@@ -176,7 +176,7 @@ STATE = SessionState()
 
 @contextmanager
 def suppress_change_tracking(view_layer: Any) -> Iterator[None]:
-    """Ignore changes made in this block; earlier changes by people still count."""
+    """Ignore changes made in the with block, which are the add-on's own; earlier changes by people still count."""
     # Pending changes must reach the handlers now, not with the block's own updates.
     view_layer.update()
     STATE.suppress_depth += 1

@@ -1,7 +1,7 @@
 """Statuses of strokes that follow the scene: reported changes → affected strokes → checks of their bakes.
 
-`StatusTracker` checks the strokes of one scene, a few per tick; `TokenValidity` checks whether a mesh's baked tokens
-still hold.
+A status says whether a stroke's bake is still valid. `StatusTracker` checks the strokes of one scene, a few per tick;
+`TokenValidity` checks whether the tokens (material descriptions) baked on a mesh are still valid.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def get_stroke_data_names(stroke: Any) -> set[str]:
 
 
 class StatusTracker:
-    """Queue of a scene's strokes to be checked, with what is known of the surfaces they touch.
+    """Queue of a scene's strokes whose bakes are to be checked, with hashes of the surfaces they touch.
 
     It stores names and hashes, but no Blender data between two calls.
     """
@@ -106,7 +106,10 @@ class StatusTracker:
                 self._pending[name] = None
 
     def _find_affected_surfaces(self, calls: SceneNames, touched: Iterable[str], names: set[str]) -> set[str]:
-        """Return the names of surfaces that changed datablocks may affect; `touched` are those that strokes touch."""
+        """Return the names of surfaces that the changed datablocks `names` may affect.
+
+        `touched` are the surfaces that strokes touch.
+        """
         known = set(touched)
         known |= set() if self._session is None else self._session.known_names
         if _has_unknown_names(names):
@@ -202,9 +205,9 @@ def refresh_status(scene: Any, names: Iterable[str] | None = None, view_layer: A
 
 
 def process_changes(shown: Iterable[tuple[Any, Any]]) -> bool:
-    """Process STATE.dirty_names for the shown (scene, view layer) pairs; return True if a status changed.
+    """Check the strokes that STATE.dirty_names may affect, in the shown (scene, view layer) pairs.
 
-    At least one check is made, and none begins after TICK_BUDGET_S.
+    Returns True if a status changed. At least one check is made, and none begins after TICK_BUDGET_S.
     """
     started, changed = time.monotonic(), False
     _remove_deleted_scenes()
@@ -297,7 +300,7 @@ def _is_affected(obj: Any, names: set[str]) -> bool:
 
 
 def _clear_reliefs(names: set[str]) -> None:
-    """Discard reliefs and the touch query of materials that changed."""
+    """Discard the results of touch queries on materials that changed."""
     for material in list(STATE.reliefs):
         if EVERYTHING in names or material in names:
             del STATE.reliefs[material]
@@ -325,8 +328,7 @@ class TokenValidity:
     """Validity of the tokens baked on meshes, checked once per surface until people change something.
 
     A check takes as long as hashing the surface. While the timeline plays, every frame changes something, so results
-    are
-    reused. `outdated` has the reason for each invalid object, by its name.
+    are reused. `outdated` has the reason for each invalid object, by its name.
     """
 
     def __init__(self) -> None:
@@ -336,7 +338,7 @@ class TokenValidity:
         self._changes = -1
 
     def is_valid(self, obj: Any, scene: Any, view_layer: Any) -> bool:
-        """Return whether an object's tokens hold; False if that cannot be checked, e.g. in Edit Mode."""
+        """Return whether an object's baked tokens are still valid; False if that is unknown, e.g. in Edit Mode."""
         import bpy
 
         from hnf_core.errors import HnfError

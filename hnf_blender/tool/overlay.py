@@ -1,4 +1,4 @@
-"""Overlay of strokes in the 3-D view: paths coloured by force, direction ticks, start, and the contact at the playhead.
+"""Overlay of strokes in the 3-D view: paths colored by force, direction ticks, start, and the contact at the playhead.
 
 A few changed strokes are computed in the depsgraph handler, so that Blender draws only once; many are left to a timer.
 `overlay_drawing.py` computes and draws one path.
@@ -34,7 +34,7 @@ REFRESH_BUDGET_S = 0.04
 
 @dataclass
 class OverlayState:
-    """Cached paths and pending changes.
+    """Cached paths of strokes in the 3-D view, and pending changes.
 
     Attributes
     ----------
@@ -107,7 +107,10 @@ def _on_depsgraph_update(scene: Any, depsgraph: Any) -> None:
 
 
 def _get_time_scale(scene: Any) -> tuple[object, ...]:
-    """Return what converts a speed to frames; Blender reports a change of it for no object."""
+    """Return frame rate and unit scale of a scene, which convert speeds to frames.
+
+    They are compared at each update, since Blender reports their change for no object.
+    """
     units = scene.unit_settings
     return scene.render.fps, scene.render.fps_base, scene.hnf.metres_per_unit, units.system, units.scale_length
 

@@ -37,14 +37,14 @@ TICK_SIZE_M = (0.6e-3, 4e-3)
 
 @dataclass(frozen=True)
 class OverlayPath:
-    """Path of a stroke in the coordinates of its object, so that moving the object costs nothing.
+    """Path of a stroke to be drawn, in the coordinates of its object, so that moving the object costs nothing.
 
     Attributes
     ----------
     points : (k, 3) array
         Points in the order of the motion.
     colours : (k, 4) array
-        Colours of the points.
+        Colors of the points.
     ticks : (4m, 3) array
         Pairs of end points.
     frames : (n,) array
@@ -106,7 +106,10 @@ def compute_overlay_path(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: 
 
 
 def _compute_ticks(arc: ArcCurve, position: Float, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float:
-    """Return chevrons on the surface that point in the direction of motion: (4m, 3) pairs of end points [m]."""
+    """Return V-shaped marks on the surface that point in the direction of motion: (4m, 3) pairs of end points [m].
+
+    `position` (n,) is the distance along the curve `arc` over time [m].
+    """
     distance = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
     if distance[-1] <= 0.0:
         return np.empty((0, 3))
@@ -127,7 +130,10 @@ def _compute_ticks(arc: ArcCurve, position: Float, obj: Any, depsgraph: Any, met
 
 
 def _find_normals(points: Float, ahead: Float, obj: Any, depsgraph: Any, metres_per_unit: float) -> Float:
-    """Return the normals (m, 3) of the touched surface at points [m]; without one, vectors as vertical as possible."""
+    """Return the normals (m, 3) of the touched surface at points (m, 3) [m].
+
+    Without a surface they are vertical, or horizontal where the direction of motion `ahead` (m, 3) is nearly vertical.
+    """
     normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     normals[np.abs(ahead[:, 2]) > 0.9] = (1.0, 0.0, 0.0)
     surface = obj.hnf_stroke.surface or obj.parent
@@ -177,7 +183,7 @@ _batches: dict[str, tuple[Any, Any, Any]] = {}
 
 
 class OverlayView:
-    """Projection of one region, with its pixel size."""
+    """Projection of one 3-D view region, with the size of a pixel in the world."""
 
     def __init__(self, region_data: Any, region: Any) -> None:
         scale = float(_get_preferences().system.pixel_size or 1.0)
@@ -204,12 +210,12 @@ class OverlayView:
 
 
 def remove_batches(name: str) -> None:
-    """Remove the batches of a stroke."""
+    """Remove the cached GPU batches of a stroke."""
     _batches.pop(name, None)
 
 
 def draw_path(name: str, path: OverlayPath, world: Any, view: OverlayView, *, is_active: bool, is_muted: bool) -> None:
-    """Draw a path with its halo; hidden parts show through faintly."""
+    """Draw a stroke's path with a halo (a wider line behind it); parts hidden by objects show through faintly."""
     if name not in _batches:
         _batches[name] = _make_batches(path)
     line, halo, ticks = _batches[name]
@@ -240,7 +246,7 @@ def draw_start(point: Float, view: OverlayView) -> None:
 
 
 def draw_contact(point: Float, force_n: float, view: OverlayView, *, is_active: bool) -> None:
-    """Draw a disc in the force's colour; grey without contact."""
+    """Draw a disc in the force's color; gray without contact."""
     radius = ACTIVE_CONTACT_PX if is_active else CONTACT_PX
     _draw_disc(view.disc(point, radius + 2.5), HALO)
     _draw_disc(view.disc(point, radius + 1.0), WHITE)

@@ -1,7 +1,8 @@
-"""Patches of a stroke → records with height or unlit image, token and appearance, from the cache or a close-up.
+"""Patches (squares of surface under a stroke) → records with height or unlit image, token and appearance.
 
-Where a shader has no relief, D_φ predicts tactile maps from the unlit image, and E encodes them (`ReliefPredictor`).
-The networks are loaded when they are first needed.
+A record is read from the cache or made from a close-up render. Where a shader has no relief, the network D_φ predicts
+tactile maps (images of a touch sensor) from the unlit image, and the encoder E turns them into a token
+(`ReliefPredictor`). The networks are loaded when they are first needed.
 """
 
 from __future__ import annotations
@@ -51,15 +52,15 @@ from .report import Counts
 
 SENSOR = "gelsight"
 SHARPEST_WAVELENGTH_M = 2.0 * PITCHES_M[0]
-"""Shortest wavelength of the widest view [m]."""
+"""Shortest wavelength [m] that the widest view given to D_φ can show: two of its pixels."""
 MIN_CONTRAST = 1.0 / 255.0
-"""Minimum contrast of a view (`measure_contrast`): one step of an 8-bit image. One in a hundred training views has
-less. A uniform colour contains no information, and D_φ, which was not trained on any, would invent a pattern.
+"""Minimum contrast (`measure_contrast`) of a view given to D_φ: one step of an 8-bit image. One in a hundred training
+views has less. A uniform color contains no information, and D_φ, which was not trained on any, would invent a pattern.
 `MIN_COLOUR_STD_CODES` is the same limit for an entire patch."""
 
 
 class ReliefPredictor:
-    """Networks of one run: D_φ and the encoder E of each route.
+    """Networks of one run that predict a relief: D_φ (image → tactile map) and the encoder E (tactile map → token).
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ class ReliefPredictor:
 
     @property
     def weights_hash(self) -> str:
-        """Hash of the weights of D_φ, without loading them; "" if there are none."""
+        """Hash of the weights of D_φ, computed without loading the network; "" if there are no weights."""
         try:
             stat = self._path.stat()
         except OSError:
@@ -90,14 +91,14 @@ class ReliefPredictor:
 
     @property
     def content_id(self) -> str:
-        """Hash of everything that a prediction depends on besides the image."""
+        """Hash of everything that a prediction depends on besides the image: the weights of both networks."""
         return content_hash(
             self.weights_hash, self.predicted_encoder.content_id, f"{SENSOR} {DEFAULT_STEPS} {MIN_CONTRAST:g}"
         )
 
     @property
     def missing_reason(self) -> str:
-        """Reason why nothing can be predicted, "" if it can."""
+        """Reason why no relief can be predicted in this installation, "" if it can."""
         if self.weights_hash:
             return ""
         return (
@@ -109,9 +110,10 @@ class ReliefPredictor:
     def make_views(
         self, unlit: UnlitImage, mask: NDArray[np.bool_], metres_per_pixel: float
     ) -> tuple[AppearanceView, ...]:
-        """Cut the views for D_φ out of an unlit image.
+        """Cut the views (square crops at fixed scales) that D_φ takes as input out of a patch's unlit image.
 
-        Empty if the image is too coarse or uniform, or too little of the surface is visible.
+        `mask` (H, W) is the patch's own surface. The result is empty if the image is too coarse or uniform, or too
+        little of the surface is visible.
         """
         resolved = unlit.resolved_wavelength_m
         if SHARPEST_WAVELENGTH_M < resolved <= MAX_READABLE_WAVELENGTH_M:
@@ -120,10 +122,10 @@ class ReliefPredictor:
         return tuple(view for view in views if measure_contrast(view.rgb) >= MIN_CONTRAST)
 
     def predict(self, unlit: UnlitImage, views: tuple[AppearanceView, ...], seed: int) -> Prediction:
-        """Predict tactile maps from all views of a patch in one call of D_φ, and encode them.
+        """Predict tactile maps from all views of a patch in one call of D_φ, and encode them to a token.
 
-        Equal inputs give equal bytes. `seed` is the patch's; for a diffusion model each view has its own noise. Raises
-        FileError or WeightsError if the weights cannot be used.
+        Equal inputs give equal bytes. `seed` is that of the patch; if D_φ is a diffusion model, each view has its own
+        noise. Raises FileError or WeightsError if the weights cannot be used.
         """
         weights = _load_weights(self._path, self.weights_hash)
         with single_blas_thread():
@@ -156,12 +158,12 @@ def make_predicted_maps(prediction: Prediction) -> tuple[TactileMap, ...]:
 
 
 def is_too_coarse(unlit: UnlitImage) -> bool:
-    """Return True if an image shows no wavelength short enough for a prediction."""
+    """Return True if an unlit image shows no wavelength short enough for a relief to be predicted from it."""
     return unlit.resolved_wavelength_m > MAX_READABLE_WAVELENGTH_M
 
 
 def explain_skipped(unlit: UnlitImage) -> str:
-    """Explain why no relief is predicted from an image."""
+    """Explain why no relief is predicted from an unlit image."""
     if is_too_coarse(unlit):
         return (
             f"its picture ({unlit.source}) shows no wave below {unlit.resolved_wavelength_m * 1e3:.2g} mm, and "
@@ -194,7 +196,7 @@ CLOSEUP_STAGE = "close-ups"
 
 @dataclass(frozen=True)
 class TouchedObject:
-    """An object with everything that strokes need of it.
+    """An object with everything that strokes need of it: surface, hashes, and the materials the user chose.
 
     Attributes
     ----------
@@ -243,8 +245,8 @@ class TouchedObject:
 def compute_patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str:
     """Return the cache key of a patch: a hash of geometry, shader, place, and settings of the close-up.
 
-    The add-on's version and the names in a record's notes count too. `encoder` is the content id of the encoder of
-    measured maps.
+    The add-on's version and the names in a record's notes count too. `encoder` is the content hash of the encoder of
+    maps measured from a shader's relief.
     """
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
     place = np.round(np.concatenate([patch.centre, patch.x_axis, patch.normal]), 7) + 0.0
@@ -265,9 +267,9 @@ def bake_patches(
     chosen_slots: Collection[int] = (),
     progress: ProgressCallback = ignore_progress,
 ) -> tuple[PatchRecord, ...]:
-    """Return one record per patch, from the cache or a close-up.
+    """Return one record (height or unlit image, token, appearance) per patch, from the cache or a close-up render.
 
-    Close-ups are rendered in one temporary scene. Where the relief is unknown and the colour varies, it is predicted,
+    Close-ups are rendered in one temporary scene. Where the relief is unknown and the color varies, it is predicted,
     once per patch. Each patch is encoded and saved while the next one's rays are cast, so that a stopped run loses at
     most one.
 
@@ -339,7 +341,7 @@ def _open_renderer(
 ) -> Iterator[Callable[[Patch], CloseUp]]:
     """Provide a function that renders any of the patches, from splats for a reconstructed surface, else by its shader.
 
-    Temporary data is removed at the end of the context.
+    `wait_for_threads` is called before Blender is used. Temporary data is removed at the end of the with block.
     """
     splat_patches = [patch for patch in patches if touched.uses_splats(patch.slot)]
     shader_patches = [patch for patch in patches if not touched.uses_splats(patch.slot)]
@@ -369,9 +371,10 @@ def _open_renderer(
 
 
 def compute_noise_seed(touched: TouchedObject, patch: Patch) -> int:
-    """Return the seed of a patch's prediction, from its material and its place to a millimetre.
+    """Return the seed of the noise of a patch's prediction, from its material and its place to a millimeter.
 
-    The patch's key includes every digit, but moving a scene changes the rounding, and must not change the prediction.
+    The patch's cache key includes every digit of its place, but moving a scene changes the rounding, and must not
+    change the prediction.
     """
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
     # Off the grid: people like round numbers, which would lie on its borders.
@@ -382,7 +385,10 @@ def compute_noise_seed(touched: TouchedObject, patch: Patch) -> int:
 def _add_prediction(
     record: PatchRecord, key: str, seed: int, folder: Path, predictor: ReliefPredictor, counts: Counts
 ) -> PatchRecord:
-    """Return a record with its prediction, from the cache or by one call of D_φ."""
+    """Return a patch's record with its predicted relief, from the cache or by one call of D_φ.
+
+    `key` is the patch's cache key, `folder` that of the cache; `counts` is incremented.
+    """
     if record.unlit is None or predictor.missing_reason:
         return record
     name = content_hash(key, predictor.content_id)
@@ -399,7 +405,7 @@ def _add_prediction(
 
 
 def get_measured_map(record: PatchRecord) -> TactileMap | None:
-    """Return the measured tactile map of a record; None if nothing was measured."""
+    """Return the tactile map computed from a patch's own height; None if its shader gave none."""
     if record.height is None:
         return None
     image = render_sensor_image(record.height, record.metres_per_pixel, get_sensor(SENSOR))
@@ -410,36 +416,36 @@ def get_measured_map(record: PatchRecord) -> TactileMap | None:
 
 
 def get_widest_map(record: PatchRecord) -> TactileMap | None:
-    """Return the tactile map to show of a record, of any route; None without a map."""
+    """Return the tactile map of a patch to show, measured or predicted: the widest view; None without a map."""
     return get_measured_map(record) if record.predicted is None else make_predicted_maps(record.predicted)[0]
 
 
 def get_token(record: PatchRecord) -> Token | None:
-    """Return the token of a record's map, measured or predicted; None without a map."""
+    """Return the token of a patch's tactile map, measured or predicted; None without a map."""
     if record.predicted is not None:
         return record.predicted.token
     return None if record.token is None or record.known is None else Token(record.token, record.known)
 
 
 def get_resolved_wavelength(record: PatchRecord) -> float:
-    """Return the shortest wavelength of a record's map [m]; inf without a map."""
+    """Return the shortest wavelength that a patch's tactile map resolves [m]; inf without a map."""
     return record.resolved_wavelength_m if record.predicted is None else record.predicted.resolved_wavelength_m
 
 
 def get_map_source(record: PatchRecord) -> str:
-    """Describe what a record's map was made from; "" without a map."""
+    """Describe what a patch's tactile map was made from, such as an image; "" without a map."""
     if record.predicted is None or record.unlit is None:
         return record.height_source
     return f"estimated from {record.unlit.source}"
 
 
 def get_encoder_name(record: PatchRecord) -> str:
-    """Return the name of the encoder of a record's map; "" without a map."""
+    """Return the name of the encoder that made a patch's token from its tactile map; "" without a map."""
     return record.encoder if record.predicted is None else record.predicted.encoder
 
 
 def compute_mean_appearance(records: Sequence[PatchRecord]) -> Appearance:
-    """Return the mean shading values of several patches of a material; unknown values are left out."""
+    """Return the mean shading values of several patches of a material; patches without a value do not count for it."""
     colours = [record.appearance.base_color for record in records if record.appearance.base_color is not None]
     red, green, blue = np.mean(colours, axis=0) if colours else (0.0, 0.0, 0.0)
     return Appearance(
@@ -455,7 +461,7 @@ def _average_known(values: Sequence[float | None]) -> float | None:
 
 
 def _make_record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: Counts) -> PatchRecord:
-    """Make the record of a close-up; it is encoded only if the shader has micro-geometry."""
+    """Make the record of a patch from its close-up; a token is encoded only if the shader has micro-geometry."""
     tactile, token = None, None
     if closeup.height is not None:
         tactile = tactile_map_from_height(

@@ -1,7 +1,8 @@
-"""Plan of a run, made before anything is rendered: what is needed, what is still fresh, what is skipped, and why.
+"""Plan of a run, made before anything is rendered: strokes to bake, strokes still valid (fresh), and what is skipped.
 
-It compares the jobs of a session with the report of an earlier run in the output folder (`PreviousRun`), estimates the
-cost, and predicts the route of each material slot. The scene's external files are listed and hashed here too.
+It compares the jobs of a session with the report of an earlier run in the output folder (`PreviousRun`) and estimates
+the cost. For each material slot it predicts whether the relief will be measured, predicted or prior (its route). The
+scene's external files are listed and hashed here too.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ TILE_PLACEHOLDERS = ("<UDIM>", "<UVTILE>")
 def list_external_files(scene: Path) -> list[str]:
     """List the absolute paths of existing files that the open scene refers to, UDIM tiles one by one.
 
-    Packed files are not listed. `scene` is the file that was opened or imported.
+    Files packed into the .blend are not listed. `scene` is the file that was opened or imported.
     """
     import bpy
 
@@ -49,9 +50,9 @@ def list_external_files(scene: Path) -> list[str]:
 
 
 def hash_source_files(scene: Path, external_files: Iterable[str]) -> str:
-    """Hash the scene's file by content, and external files, which may be movies, by size and modification time.
+    """Hash the scene file by content, and external files, which may be movies, by size and modification time.
 
-    Returns "" if one of them cannot be read any more.
+    Returns "" if one of them cannot be read.
     """
     try:
         with scene.open("rb") as stream:
@@ -76,7 +77,7 @@ def _expand_tiles(path: Path) -> list[Path]:
 
 
 class RerunReason(StrEnum):
-    """Reason to write the .blend of an earlier run again: unfinished, changed scene file, other strokes, or none."""
+    """Reason to write an earlier run's baked .blend again: unfinished, changed scene file, other strokes, or none."""
 
     NOTHING = ""
     UNFINISHED = "unfinished"
@@ -86,7 +87,7 @@ class RerunReason(StrEnum):
 
 @dataclass(frozen=True)
 class PreviousRun:
-    """An earlier run, read from its report.
+    """An earlier run in the same output folder, read from its report.json.
 
     Attributes
     ----------
@@ -105,7 +106,7 @@ class PreviousRun:
     orphaned_files: tuple[str, ...] = ()
 
     def find_fresh(self, jobs: Iterable[StrokeJob], folder: Path | None) -> dict[str, StrokeReport]:
-        """Return job name → entry of a stroke with the same key whose files are intact.
+        """Return job name → report entry of an earlier stroke that is still valid: same input hash, files intact.
 
         A job gets the entry of its own name, else one that no other job has, as after renaming: each file belongs to
         one stroke, or plots would overwrite each other. `folder` is None if there are no earlier results.
@@ -126,11 +127,14 @@ class PreviousRun:
         return fresh
 
     def has_name(self, name: str) -> bool:
-        """Return True if there was a stroke of this name."""
+        """Return True if the earlier run had a stroke of this name."""
         return any(stroke.name == name for stroke in self.strokes)
 
     def get_rerun_reason(self, jobs: Iterable[StrokeJob], source: str, blend: Path) -> RerunReason:
-        """Return why its .blend must be written again: NOTHING if source and strokes are the same."""
+        """Return why the baked .blend must be written again: NOTHING if the scene's files and strokes are the same.
+
+        `source` is the hash of the scene's files now, `blend` the path of the baked .blend.
+        """
         if self.source == "" or not blend.is_file():
             return RerunReason.UNFINISHED
         if self.source != source:
@@ -140,7 +144,7 @@ class PreviousRun:
 
 
 def read_previous_run(folder: Path | None) -> PreviousRun:
-    """Read the report in a folder; an empty run if there is none, or it cannot be read."""
+    """Read the report.json of an earlier run in a folder; an empty run if there is none, or it cannot be read."""
     if folder is None:
         return PreviousRun()
     try:
@@ -191,7 +195,7 @@ def find_orphaned_files(
 
 
 def _separate_shared_wavs(strokes: Iterable[StrokeReport]) -> list[StrokeReport]:
-    """Return one entry per WAV file.
+    """Return the report entries so that no two share a WAV file.
 
     Older versions let equal strokes share a WAV and overwrite each other's plots. The first keeps the files, and its
     plot is drawn again.
@@ -211,7 +215,7 @@ def _get_file_names(stroke: StrokeReport) -> tuple[str, str]:
 
 
 def _is_intact(entry: StrokeReport, folder: Path) -> bool:
-    """Return True if an entry's WAV is as it was written, and its plot exists."""
+    """Return True if a report entry's WAV still has the hash it was written with, and its plot exists."""
     if Path(entry.wav).name != entry.wav:
         return False
     try:
@@ -237,13 +241,13 @@ RERUN_MESSAGES = {
 
 
 def estimate_max_patches(length_m: float) -> int:
-    """Return an upper bound for the close-ups of a stroke of this length [m]."""
+    """Return an upper bound for the number of patches, and so of close-up renders, of a stroke of this length [m]."""
     return int(length_m / PATCH_PITCH_M) + 1
 
 
 @dataclass(frozen=True)
 class SlotPlan:
-    """Expected route of a slot's relief.
+    """Expected route of a material slot's relief: measured from the shader, predicted from an image, or prior.
 
     Attributes
     ----------
@@ -272,7 +276,7 @@ def estimate_closeup_seconds(slots: Iterable[SlotPlan]) -> float:
 
 @dataclass(frozen=True)
 class PlannedBake:
-    """One stroke to bake.
+    """One stroke that a run will bake, with the reason and an upper bound for the cost.
 
     Attributes
     ----------
@@ -295,7 +299,7 @@ class PlannedBake:
 
     @property
     def predictions(self) -> int:
-        """Upper bound for the patches whose relief is predicted."""
+        """Upper bound for the patches whose relief is predicted by D_φ."""
         return self.patches if any(slot.route is Route.PREDICTED for slot in self.slots) else 0
 
 
@@ -310,7 +314,7 @@ class UpToDate:
 
 @dataclass(frozen=True)
 class PlannedQuery:
-    """One touch query.
+    """One touch query (what is felt at one place) that a run will evaluate.
 
     Attributes
     ----------
@@ -330,13 +334,13 @@ class PlannedQuery:
 
     @property
     def predictions(self) -> int:
-        """Upper bound for the predictions, 0 or 1."""
+        """Upper bound for the reliefs that are predicted by D_φ, 0 or 1."""
         return int(self.slot is not None and self.slot.route is Route.PREDICTED)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of a run.
+    """Plan of a run: the strokes to bake, those still valid, and what is skipped or cannot be done.
 
     Attributes
     ----------
@@ -364,21 +368,22 @@ class Plan:
 
     @property
     def renders(self) -> int:
-        """Upper bound for renders.
+        """Upper bound for the number of renders.
 
-        Each close-up has two passes; of the plots' views one is shared, and each stroke may need its own.
+        Each close-up takes two; of the views in the plots, the one by the scene's camera is shared, and each stroke may
+        need one of its own.
         """
         plots = len(self.needed) + self.pictures
         return RENDERS_PER_CLOSEUP * self.close_ups + MAX_STROKE_VIEWS * plots + min(1, plots)
 
     @property
     def close_ups(self) -> int:
-        """Upper bound for close-ups."""
+        """Upper bound for the number of patches that are rendered."""
         return sum(entry.patches for entry in self.needed) + sum(entry.close_ups for entry in self.probes)
 
     @property
     def predictions(self) -> int:
-        """Upper bound for predictions, one per patch."""
+        """Upper bound for the patches whose relief is predicted by D_φ."""
         return sum(entry.predictions for entry in self.needed) + sum(entry.predictions for entry in self.probes)
 
     @property
@@ -404,7 +409,7 @@ class Plan:
         return json.dumps(record, indent=1, ensure_ascii=False)
 
     def _format_cost(self) -> str:
-        """Format the upper bounds of the cost."""
+        """Format the upper bounds of close-ups, renders and predictions, and the estimated time."""
         parts = [pluralize(self.close_ups, "close-up"), pluralize(len(self.needed) + self.pictures, "picture")]
         if self.predictions:
             parts.append(f"{pluralize(self.predictions, 'relief')} estimated from pictures")
@@ -457,11 +462,15 @@ def _format_skipped(skipped: Sequence[Skipped]) -> list[str]:
 
 
 TOO_COARSE_NOTE = f"its picture shows no waves below {MAX_READABLE_WAVELENGTH_M * 1e3:g} mm, or one colour"
-"""Finding that makes a predicted slot prior."""
+"""What a close-up may show that turns a slot whose relief was to be predicted into a prior one."""
 
 
 def plan_slots(session: Session, job: StrokeJob) -> tuple[SlotPlan, ...]:
-    """Return plans of the slots that a job may touch: all of its object, or the one it is to be placed on."""
+    """Return the expected route of each slot that a job's stroke may touch.
+
+    These are all slots of its object, or the one on which it is to be placed. A route says where the relief comes from:
+    measured, predicted or prior.
+    """
     plans = plan_object_slots(
         session, find_object(session.scene, job.object_name), "" if job.stroke is None else job.stroke.material
     )
@@ -469,9 +478,10 @@ def plan_slots(session: Session, job: StrokeJob) -> tuple[SlotPlan, ...]:
 
 
 def plan_object_slots(session: Session, obj: Any, material: str = "") -> tuple[SlotPlan, ...]:
-    """Return plans of all slots of an object; `material` is the library material set on the stroke.
+    """Return the expected route (measured, predicted or prior) of each slot of an object.
 
-    A slot with a varying colour may still turn out prior, if its image is too coarse or uniform.
+    `material` is the library material set on the stroke, which replaces the slots' own. A slot with a varying color may
+    still turn out prior, if its image is too coarse or uniform.
     """
     facts = session.get_facts(obj)
     why = (
@@ -495,9 +505,10 @@ def plan_object_slots(session: Session, obj: Any, material: str = "") -> tuple[S
 def _plan_slot(
     material: str, relief_source: ReliefSource, chosen: bool, missing: str, evidence: str, direct_image: bool
 ) -> SlotPlan:
-    """Return the plan of one slot.
+    """Return the expected route of one material slot.
 
-    `evidence` is what a relief could be predicted from; `direct_image` is true if its relief is read from images.
+    `chosen` is true if the user chose its haptic material, `missing` says why nothing can be predicted ("" if it can),
+    `evidence` is what a relief could be predicted from, and `direct_image` is true if its relief is read from images.
     """
     if relief_source is ReliefSource.RELIEF:
         seconds = IMAGE_CLOSEUP_SECONDS if direct_image else PROCEDURAL_CLOSEUP_SECONDS
@@ -513,7 +524,10 @@ def _plan_slot(
 
 
 def describe_shader_reliefs(session: Session, gathered: GatheredJobs) -> list[str]:
-    """Return notes on what a shader's own relief leaves of the materials of the command line."""
+    """Return notes on materials given on the command line for slots whose shader has a relief of its own.
+
+    The shader's relief is used there; the notes say what remains of the material.
+    """
     notes = []
     for name in dict.fromkeys(job.object_name for job in gathered.jobs):
         obj, choices = find_object(session.scene, name), session.get_choices(name)
@@ -529,7 +543,10 @@ def describe_shader_reliefs(session: Session, gathered: GatheredJobs) -> list[st
 
 
 def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, source: str) -> Plan:
-    """Make the plan of a run, without rendering or casting rays; `source` is the hash of the scene's files."""
+    """Make the plan of a run, without rendering or casting rays.
+
+    `previous` is the earlier run in the output folder, `source` the hash of the scene's files.
+    """
     needed, fresh = [], []
     fresh_entries = previous.find_fresh(gathered.jobs, session.request.out)
     for job in gathered.jobs:
@@ -560,7 +577,7 @@ def get_blend_name(session: Session) -> str:
 
 
 def get_scene_path(request: TouchRequest) -> Path:
-    """Return the scene's file."""
+    """Return the path of the scene file to open."""
     import bpy
 
     return request.scene if request.scene is not None else Path(bpy.data.filepath)

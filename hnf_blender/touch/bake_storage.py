@@ -1,6 +1,7 @@
 """Store bakes in the scene: tokens on meshes and splats, and each stroke's bake on its curve object.
 
-The inputs of a bake are stored with it, so that a stale bake can be explained (`check_validity`).
+A token describes a material's micro-geometry. The hashes of a bake's inputs are stored with it, so that the reason can
+be named if it is no longer valid (`check_validity`).
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def store_tokens(strokes: Sequence[BakedStroke]) -> tuple[str, ...]:
 
 
 def make_face_tokens(mesh: Any, strokes: Sequence[BakedStroke], sources: Set[str] = frozenset()) -> FaceTokens:
-    """Make the tokens of a mesh from the strokes that touch it.
+    """Make the tokens per face of a mesh from the strokes that touch it.
 
     Faces under a patch get its token; of overlapping patches the last counts. Other faces keep the tokens of an earlier
     bake while mesh and shaders are unchanged.
@@ -139,13 +140,16 @@ def make_point_tokens(
 
 
 def _compute_roughness(palette: Palette, index: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return the RMS height [m] over all bands of each face's token, 0 where nothing was touched."""
+    """Return the RMS height [m], over all wavelength bands, of the token of each face (F,).
+
+    `index` (F,) is the palette index of each face; the height is 0 where nothing was touched.
+    """
     power = np.sum(10.0 ** (2.0 * palette.tokens[:, LEVELS].astype(np.float64)), axis=1)
     return np.asarray(np.append(np.sqrt(power), 0.0)[index], dtype=np.float32)
 
 
 def _read_valid_tokens(mesh: Any, sources: Set[str]) -> FaceTokens | None:
-    """Return a mesh's tokens if they are from one of these sources, else None."""
+    """Return a mesh's tokens if the surface hash stored with them is one of `sources`, else None."""
     try:
         earlier = read_tokens(mesh)
     except FileError:  # damaged: this bake replaces it
@@ -154,7 +158,7 @@ def _read_valid_tokens(mesh: Any, sources: Set[str]) -> FaceTokens | None:
 
 
 def hash_surface_source(surface: TouchedObject | SurfaceFacts) -> str:
-    """Hash what a surface's tokens are measured from."""
+    """Hash what a surface's tokens are measured from: its shape, its shaders and what these read of the object."""
     return content_hash(surface.shape_hash, *surface.shader_hashes, surface.owner_hash)
 
 
@@ -185,7 +189,7 @@ def save_bake(obj: Any, bake: StrokeBake, inputs: InputHashes) -> None:
 
 
 def clear_bake(obj: Any) -> int:
-    """Remove what `save_bake` stored; return the bytes freed."""
+    """Remove the bake and its inputs from a stroke; return the bytes freed."""
     freed = count_stored_bytes(obj)
     remove_bake(obj)
     stored_data.delete_property(obj, INPUTS_PROPERTY)
@@ -193,13 +197,16 @@ def clear_bake(obj: Any) -> int:
 
 
 def count_stored_bytes(obj: Any) -> int:
-    """Return the size of what `save_bake` stored on a stroke [bytes]."""
+    """Return the size of the bake and its inputs stored on a stroke [bytes]."""
     data, text = stored_data.get_property(obj, BAKE_PROPERTY), stored_data.get_property(obj, INPUTS_PROPERTY)
     return (len(data) if isinstance(data, bytes) else 0) + (len(text) if isinstance(text, str) else 0)
 
 
 def check_validity(obj: Any, job: StrokeJob) -> StrokeStatus:
-    """Compare the bake on a stroke with its job, which was just read from it."""
+    """Compare the bake stored on a stroke with the stroke as it is now.
+
+    `job` has the hashes of its current inputs.
+    """
     try:
         bake = load_bake(obj)
     except FileError as error:
@@ -220,7 +227,7 @@ def check_validity(obj: Any, job: StrokeJob) -> StrokeStatus:
 
 
 def make_status(bake: StrokeBake, freshness: Freshness, why: str = "") -> StrokeStatus:
-    """Make the status of a bake for the panels."""
+    """Make the status that the panels show of a bake; `why` is the reason if it is not fresh."""
     facts = bake.facts
     return StrokeStatus(
         freshness,
@@ -236,7 +243,7 @@ def make_status(bake: StrokeBake, freshness: Freshness, why: str = "") -> Stroke
 
 
 def has_tokens(session: Session, obj: Any) -> bool:
-    """Return True if an object's mesh has current tokens of this surface, or of another with the same mesh.
+    """Return True if an object's mesh has the tokens of its current surface, or of another object with the same mesh.
 
     Also True if it cannot store any. Raises SceneError if the object is hidden or has no surface.
     """

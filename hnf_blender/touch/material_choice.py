@@ -1,4 +1,4 @@
-"""Decide which library material a slot is: the user's choice if there is one, else the best-ranked material."""
+"""Decide which library material a material slot is: the user's choice if there is one, else the best-ranked one."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ GUESS_CONFIDENCE = 0.3
 
 @dataclass(frozen=True)
 class MaterialRequest:
-    """Materials requested by the user, apart from those set on Blender materials.
+    """Library materials requested by the user on the command line or on a stroke.
+
+    Those set on Blender materials are not included.
 
     Attributes
     ----------
@@ -46,7 +48,7 @@ class MaterialRequest:
 
 @dataclass(frozen=True)
 class SlotMaterial:
-    """Library material of a slot.
+    """Library material of a material slot, with its probability.
 
     Attributes
     ----------
@@ -106,7 +108,7 @@ def find_chosen_material(touched: TouchedObject, slot: int, request: MaterialReq
 
 
 def _find_choice(touched: TouchedObject, slot: int, request: MaterialRequest) -> tuple[str | MaterialFile, str]:
-    """Return the choice that counts, "" for none, and where it was given."""
+    """Return the choice that takes precedence for a slot, "" for none, and where it was given."""
     choices: dict[str, str | MaterialFile] = {
         "--material": request.choices.get(slot) or request.choices.get(None) or "",
         request.where: request.stroke_material,
@@ -120,7 +122,10 @@ def _find_choice(touched: TouchedObject, slot: int, request: MaterialRequest) ->
 def decide_material(
     touched: TouchedObject, slot: int, request: MaterialRequest, records: Sequence[PatchRecord]
 ) -> SlotMaterial:
-    """Return the material of a slot: the user's choice, else the best-ranked; `records` are of its patches."""
+    """Return the library material of a slot: the user's choice, else the best-ranked.
+
+    `records` are the results of the slot's patches, whose appearance and relief count in the ranking.
+    """
     shader = get_shader_name(touched, slot)
     chosen = find_chosen_material(touched, slot, request)
     if chosen is not None:
@@ -134,7 +139,8 @@ def decide_material(
 def rank_materials(touched: TouchedObject, slot: int, records: Sequence[PatchRecord]) -> tuple[Suggestion, ...]:
     """Rank all library materials for a slot, the most probable first, whatever the user chose.
 
-    Names (of material, object and textures), appearance and relief count.
+    Names (of material, object and textures), appearance and relief count. `records` are the results of the slot's
+    patches.
     """
     names = [get_shader_name(touched, slot), touched.surface.object_name, touched.obj.data.name]
     token, route = merge_relief(records)
@@ -145,7 +151,7 @@ def rank_materials(touched: TouchedObject, slot: int, records: Sequence[PatchRec
 
 
 def merge_relief(records: Sequence[PatchRecord]) -> tuple[Token | None, Route]:
-    """Return the merged token of a slot's patches, weighted by area, and its route.
+    """Return the merged token of a slot's patches, weighted by area, and its route (measured, predicted or prior).
 
     Only patches of the best route that any of them has are used; None and Route.PRIOR if none shows a relief.
     """

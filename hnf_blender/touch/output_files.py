@@ -103,7 +103,7 @@ def write_stroke_files(
 def redraw_stroke_plot(
     folder: Path, entry: StrokeReport, job: StrokeJob, baked: BakedStroke, view: StrokeView, picture_key: str
 ) -> StrokeReport:
-    """Write a new plot of a stroke whose signal is there; return its entry with the new key."""
+    """Write a new plot of a stroke whose signal is still valid; return its report entry with the new `picture_key`."""
     signal = read_wav(folder / entry.wav)
     _plot_stroke(folder / entry.picture, job, baked, make_stroke_input(baked).action, signal, entry.confidence, view)
     return replace(entry, picture_key=picture_key)
@@ -112,7 +112,7 @@ def redraw_stroke_plot(
 def _plot_stroke(
     path: Path, job: StrokeJob, baked: BakedStroke, action: Action, signal: Signal, confidence: float, view: StrokeView
 ) -> None:
-    """Draw the plot of a stroke: view, signal, facts and tactile map."""
+    """Draw the plot of a stroke: rendered view, signal over time, facts and tactile map."""
     record, facts = baked.records[baked.main_patch], get_signal_facts(baked)
     slots = dict.fromkeys(baked.patches[index].slot for index in baked.patch_index if index >= 0)
     write_stroke_figure(
@@ -128,7 +128,10 @@ def _plot_stroke(
 
 
 def make_file_stem(name: str) -> str:
-    """Return a plain file name for a stroke; if its name is changed, four digits of a hash keep it unique."""
+    """Return a stroke's name as a file name without suffix.
+
+    If characters had to be replaced, four digits of a hash keep it unique.
+    """
     ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     slug = re.sub(r"[^A-Za-z0-9]+", "-", ascii_name).strip("-").lower()[:60] or "stroke"
     return f"{slug}-{content_hash(name)[:4]}" if slug != name.lower().replace(" ", "-") else slug
@@ -160,7 +163,7 @@ def save_baked_blend(path: Path) -> None:
 
 
 def format_material_line(object_name: str, materials: Sequence[SlotMaterial]) -> str:
-    """Describe each Blender material and its library material, in the order of the stroke."""
+    """Describe each Blender material with its library material, in the order in which the stroke touches them."""
     parts = [
         f"{material.shader or 'no material'}{location} → {material.library.name}, {format_certainty(material)}"
         for material, location in zip(materials, [f" on {object_name}"] + [""] * len(materials), strict=False)

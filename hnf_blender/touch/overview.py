@@ -32,7 +32,7 @@ OCCLUSION_DEPTH_M = 3e-3
 
 
 def sample_depth(image: NDArray[np.float32], uv: Float) -> Float:
-    """Return the values (n,) of a depth image (H, W) at pixels (n, 2), the nearest ones outside."""
+    """Return the values (n,) of a depth image (H, W) at pixels (n, 2); outside the image, of its nearest pixel."""
     height, width = image.shape
     column = np.clip(uv[:, 0].astype(int), 0, width - 1)
     row = np.clip(uv[:, 1].astype(int), 0, height - 1)
@@ -40,7 +40,7 @@ def sample_depth(image: NDArray[np.float32], uv: Float) -> Float:
 
 
 def clip_obstacles(camera: Camera, depth: Float, visible_depth: Float, clearance_m: float) -> Camera | None:
-    """Return a camera that clips away what is in front of a stroke.
+    """Return a camera whose near clipping plane cuts away what is in front of a stroke.
 
     None if the obstacle is not in front of all of it, so that no clipping plane separates them.
 
@@ -72,7 +72,7 @@ WIDTH, HEIGHT = 768, 432
 """Size of the view [pixels]."""
 SAMPLES = 2
 """Samples per pixel with a denoiser. On the demo scene the error against 256 samples is 0.020 of sRGB (RMS), and ridges
-a few pixels wide are preserved (correlation 0.79; with colour alone 0.35). Four samples give 0.016 and 0.84 in 1.5
+a few pixels wide are preserved (correlation 0.79; with color alone 0.35). Four samples give 0.016 and 0.84 in 1.5
 times the time. The view only has to show where the stroke is, and costs more than the touch itself."""
 SAMPLES_UNDENOISED = 12
 """Samples per pixel without a denoiser: an error of 0.018 (0.012 with 24)."""
@@ -92,7 +92,7 @@ MAX_STROKE_VIEWS = 1 + MAX_CUTS
 
 @dataclass(frozen=True)
 class Overview:
-    """A lit view and its notes."""
+    """A lit view of a stroke, and notes for the user."""
 
     view: RgbdView
     notes: tuple[str, ...]
@@ -100,7 +100,7 @@ class Overview:
 
 @dataclass(frozen=True)
 class CameraView:
-    """A camera for one stroke.
+    """A camera from which one stroke may be shown.
 
     `path` (n, 3) is the stroke in world coordinates [m]; `radius_m` is the radius around it that the view should show.
     """
@@ -136,10 +136,10 @@ def collect_surroundings(scene: Any, depsgraph: Any, metres_per_unit: float) -> 
 
 
 class StrokeViews:
-    """Context manager that renders the views of one run; the scene camera's view is rendered once.
+    """Context manager that renders the views shown in the plots of one run; the scene camera's view is rendered once.
 
-    Bounding boxes are read at the start and stay valid, as a run only adds strokes to the scene: after any change of
-    data, Blender would evaluate all objects again.
+    Bounding boxes are read at the start and stay valid, as a run only adds strokes to the scene; reading them again
+    after any change of data would make Blender evaluate all objects again.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ class StrokeViews:
         return StrokeView(overview.view.rgb, uv, contacts.force, visible), notes
 
     def _make_camera_views(self, contacts: Contacts, surface: Surface) -> tuple[CameraView, ...]:
-        """Return the scene's camera, if the entire path is in its frame, and an overview camera."""
+        """Return the cameras to try for a stroke: the scene's, if its frame contains the path, and an overview."""
         path = contacts.point @ surface.rigid[:3, :3].T + surface.rigid[:3, 3]
         outward = contacts.normal.mean(axis=0) @ surface.rigid[:3, :3].T
         extent = float(np.linalg.norm(path - path.mean(axis=0), axis=1).max())
@@ -240,7 +240,7 @@ class StrokeViews:
         return self._from_scene_camera
 
     def _render_past_obstacles(self, camera_view: CameraView, touched: Any) -> tuple[Overview, str]:
-        """Return the view that shows most of the path, and a note if obstacles were clipped away."""
+        """Return the view from a camera, clipped if that shows more of the path, and a note if it is clipped."""
         views = [self._render(camera_view, touched)]
         while (
             len(views) <= MAX_CUTS
@@ -282,7 +282,7 @@ def _get_sample_count() -> int:
 
 
 def resize_camera(camera: Camera, width: int) -> Camera:
-    """Return a camera with the same view, `width` pixels wide; plots need no 4K images."""
+    """Return a camera with the same view, `width` pixels wide, as plots need no 4K images."""
     scale = width / camera.width
     return replace(
         camera,
@@ -302,7 +302,7 @@ def is_path_visible(camera: Camera, path: Float) -> bool:
 
 
 def select_visible_objects(surroundings: Surroundings, camera: Camera, path: Float, touched: Any) -> list[Any]:
-    """Return the touched object and the nearest neighbours whose bounding spheres are in view."""
+    """Return the touched object and the nearest of the surrounding objects whose bounding spheres are in view."""
     distance = np.linalg.norm(surroundings.centre - path.mean(axis=0), axis=1) - surroundings.radius
     visible = np.flatnonzero(may_be_visible(camera, surroundings.centre, surroundings.radius)).tolist()
     neighbours = sorted(
@@ -319,7 +319,10 @@ def select_visible_objects(surroundings: Surroundings, camera: Camera, path: Flo
 
 
 def may_be_visible(camera: Camera, centre: Float, radius: Float) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the spheres (n, 3), (n,) that may be in view; never False for one that is."""
+    """Return a mask (n,) of the spheres that may be in a camera's view; never False for one that is.
+
+    `centre` (n, 3) and `radius` (n,) are in world coordinates [m].
+    """
     with np.errstate(divide="ignore", invalid="ignore"):  # spheres that reach the camera's plane are handled below
         uv, depth = camera.project(centre)
         reach = radius * camera.intrinsics[0, 0]

@@ -1,4 +1,7 @@
-"""Cache of baked patches and predictions: .npz files named by the hash of their inputs, so that none is stale."""
+"""Cache of baked patches and predictions: .npz files named by the hash of their inputs, so that none is outdated.
+
+A patch is a square of surface under a stroke, a prediction its relief guessed from a picture.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ PATCHES_IN_MEMORY = 8
 
 @dataclass(frozen=True)
 class Prediction:
-    """Tactile maps predicted from the unlit image of a patch.
+    """Tactile maps (images of a touch sensor) predicted by D_φ from the unlit image of a patch.
 
     Attributes
     ----------
@@ -58,7 +61,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class PatchRecord:
-    """Result of one patch's close-up.
+    """Result of the close-up render of one patch (a square of surface): height or unlit image, token, appearance.
 
     Attributes
     ----------
@@ -83,7 +86,7 @@ class PatchRecord:
     notes : tuple of str
         Warnings for the user.
     unlit : UnlitImage or None
-        Unlit image, if there is no height and the colour varies.
+        Unlit image, if there is no height and the color varies.
     encoder : str
         Name of the encoder E of `token`.
     predicted : Prediction or None
@@ -107,14 +110,14 @@ class PatchRecord:
 
     @property
     def route(self) -> Route:
-        """Route by which the relief of this patch is known."""
+        """Route by which the relief of this patch is known: measured, predicted or prior."""
         if self.height is not None:
             return Route.MEASURED
         return Route.PRIOR if self.predicted is None else Route.PREDICTED
 
 
 def load_patch(folder: Path, key: str) -> PatchRecord | None:
-    """Load the record with a key, its arrays read-only; None if it is missing or damaged.
+    """Load the record of a patch by its cache key, its arrays read-only; None if it is missing or damaged.
 
     A damaged file is treated as missing, so that the patch is baked again.
     """
@@ -128,10 +131,10 @@ def load_patch(folder: Path, key: str) -> PatchRecord | None:
 
 @lru_cache(maxsize=PATCHES_IN_MEMORY)
 def _read_patch(path: Path, _written_ns: int, _bytes: int) -> PatchRecord | None:
-    """Read a record; raises NPZ_ERRORS.
+    """Read a patch's record; raises NPZ_ERRORS.
 
-    The last records stay in memory while their files are unchanged: strokes of a scene often cross the same place, and
-    unpacking takes longer than everything else that a stroke needs.
+    The last records stay in memory while the file's time and size (the other arguments) are unchanged: strokes of a
+    scene often cross the same place, and unpacking takes longer than everything else that a stroke needs.
     """
     with np.load(path, allow_pickle=False) as data:
         if int(data["version"]) != PATCH_VERSION:
@@ -161,7 +164,7 @@ def _set_read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
-    """Save a record under a key."""
+    """Save the record of a patch under its cache key."""
     empty = np.zeros(0, dtype=np.float32)
     arrays = {
         "version": np.array(PATCH_VERSION),
@@ -191,7 +194,7 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
 
 
 def load_prediction(folder: Path, key: str) -> Prediction | None:
-    """Load the prediction with a key; None if it is missing or damaged."""
+    """Load a patch's predicted tactile maps by their cache key; None if they are missing or damaged."""
     try:
         with np.load(folder / f"{key}.npz", allow_pickle=False) as data:
             if int(data["prediction"]) != PREDICTION_VERSION:
@@ -209,7 +212,7 @@ def load_prediction(folder: Path, key: str) -> Prediction | None:
 
 
 def save_prediction(folder: Path, key: str, prediction: Prediction) -> None:
-    """Save a prediction under a key."""
+    """Save a patch's predicted tactile maps under their cache key."""
     arrays = {
         "prediction": np.array(PREDICTION_VERSION),
         "images": prediction.images,

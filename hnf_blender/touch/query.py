@@ -1,7 +1,8 @@
 """Touch queries: what would be felt at one place of a surface, without a stroke (`hnf touch --at`).
 
-A query renders one patch, fuses its token, and estimates material, friction and stiffness. The result is written as a
-tactile map (PNG and .npz) and as an entry of report.json, see docs/probe.md.
+A query renders one patch (a square of surface), combines the measured, predicted and prior bands of its token, and
+estimates material, friction and stiffness. The result is written as a tactile map (PNG and .npz) and as an entry of
+report.json, see docs/probe.md.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 from hnf_core.action.surface_point import SurfacePoint, find_point_at_uv, find_point_near, select_slot
 from hnf_core.errors import HnfError
-from hnf_core.export.plots.tactile_map_figure import write_tactile_map_figure
+from hnf_core.export.plots.figure import write_tactile_map_figure
 from hnf_core.field.features import token_distances
 from hnf_core.files import write_bytes
 from hnf_core.material.fuse import FusedToken, fuse, routes_by_band
@@ -68,7 +69,8 @@ NEAREST_COUNT = 5
 class SimilarMaterial:
     """A library material compared with the result of a query.
 
-    `distance` is that of its token over the bands that are not prior (`token_distances`), None if all bands are.
+    `distance` is the distance of its token from that of the query (`token_distances`) over the wavelength bands that
+    are measured or predicted, None if all bands are prior.
     """
 
     suggestion: Suggestion
@@ -78,7 +80,7 @@ class SimilarMaterial:
 
 @dataclass(frozen=True)
 class QueryResult:
-    """Result of a touch query.
+    """Result of a touch query: what is felt at one place of a surface.
 
     Attributes
     ----------
@@ -117,13 +119,13 @@ class QueryResult:
 
     @property
     def band_rms_m(self) -> np.ndarray[Any, Any]:
-        """RMS height of each band (7,) [m], the longest wavelengths first, of any route."""
+        """RMS height of each wavelength band of the token (7,) [m], the longest wavelengths first, of any route."""
         levels = [float(self.fused.values[band_slice(band).start]) for band in range(len(self.fused.routes))]
         return np.asarray(10.0 ** np.array(levels))
 
     @property
     def observed_rms_m(self) -> float | None:
-        """RMS height of all measured and predicted bands [m]; None if all are prior."""
+        """RMS height of all measured and predicted bands together [m]; None if all bands are prior."""
         observed = np.array([route is not Route.PRIOR for route in self.fused.routes])
         return float(np.sqrt(np.sum(self.band_rms_m[observed] ** 2))) if observed.any() else None
 
@@ -150,7 +152,7 @@ def query_surface(
     counts: Counts,
     progress: ProgressCallback = ignore_progress,
 ) -> QueryResult:
-    """Run one query.
+    """Evaluate one touch query: render the patch at its place and estimate what is felt there.
 
     Parameters
     ----------
@@ -203,7 +205,7 @@ def query_surface(
 
 
 def is_baked(session: Session, touched: TouchedObject, point: SurfacePoint, cache: Path) -> bool:
-    """Return True if the patch of a place is cached, so that nothing has to be rendered."""
+    """Return True if the patch at a place is in the cache, so that nothing has to be rendered."""
     return (
         load_patch(cache, compute_patch_key(touched, point.patch, session.predictor.measured_encoder.content_id))
         is not None
@@ -211,7 +213,10 @@ def is_baked(session: Session, touched: TouchedObject, point: SurfacePoint, cach
 
 
 def find_nearest_materials(fused: FusedToken, ranked: Sequence[Suggestion]) -> tuple[SimilarMaterial, ...]:
-    """Return the materials nearest to the bands that are not prior, else the most probable ones."""
+    """Return the library materials whose tokens are nearest over the measured or predicted bands.
+
+    If all bands are prior, the most probable materials are returned instead.
+    """
     library = load_library()
     category = {material.name: material.category for material in library}
     observed = np.zeros(TOKEN_DIM, dtype=bool)
@@ -228,7 +233,7 @@ def find_nearest_materials(fused: FusedToken, ranked: Sequence[Suggestion]) -> t
 
 
 def _include_material(material: LibraryMaterial) -> tuple[LibraryMaterial, ...]:
-    """Return the library, with the user's own definition if that was chosen."""
+    """Return the library, extended by `material` if that is a definition of the user's own."""
     library = load_library()
     return library if any(known.name == material.name for known in library) else (*library, material)
 
@@ -243,7 +248,7 @@ def format_skipped_note(session: Session, material: SlotMaterial, record: PatchR
 def _collect_notes(
     touched: TouchedObject, point: SurfacePoint, record: PatchRecord, skipped_note: str
 ) -> tuple[str, ...]:
-    """Collect the remarks of surface, place and record."""
+    """Collect the remarks of surface, place and patch for the user."""
     notes = [*touched.surface.notes, *point.notes, *record.notes, *([skipped_note] if skipped_note else [])]
     if not point.tangent_known:
         notes.append(
@@ -263,7 +268,7 @@ def describe_map_source(result: QueryResult) -> str:
 
 
 ESTIMATE_BASIS = "estimated from the likely materials, not seen"
-"""Basis of friction and stiffness, for the report."""
+"""Text in the report on what friction and stiffness are based on."""
 
 
 def write_query(folder: Path, result: QueryResult) -> dict[str, Any]:
@@ -286,7 +291,10 @@ def write_query(folder: Path, result: QueryResult) -> dict[str, Any]:
 
 
 def make_query_entry(result: QueryResult, files: dict[str, Any] | None) -> dict[str, Any]:
-    """Return a query as a JSON object; `files` are the names of its image and numbers, None without a map."""
+    """Return the result of a query as a JSON object for the report.
+
+    `files` are the names of its image and .npz files, None without a tactile map.
+    """
     routes = routes_by_band(result.fused.routes)
     rms = result.band_rms_m
     return {
@@ -318,7 +326,8 @@ def make_query_entry(result: QueryResult, files: dict[str, Any] | None) -> dict[
 def pack_map(tactile: TactileMap, captions: Sequence[str]) -> bytes:
     """Pack a tactile map as .npz.
 
-    It has image (H, W, 3) linear, height_m (H, W) if known [m], mask, metres_per_pixel, and said: title and captions.
+    Its arrays are image (H, W, 3) linear, height_m (H, W) if known [m], mask (H, W), metres_per_pixel, and `said`:
+    title and captions.
     """
     arrays = {
         "image": tactile.image,
@@ -334,7 +343,7 @@ def pack_map(tactile: TactileMap, captions: Sequence[str]) -> bytes:
 
 
 def format_query_line(entry: dict[str, Any]) -> str:
-    """Format the entry of a query as one line."""
+    """Format the report entry of a query as one line of text."""
     roughness = entry["roughness"]["total_rms_m"] * 1e6
     like = entry["nearest"][0]["name"] if entry["nearest"] else ""
     return (
@@ -414,7 +423,7 @@ def skip_strokes(session: Session) -> GatheredJobs:
 
 
 def carry_over_strokes(report: Report, folder: Path, baked_name: str) -> None:
-    """Keep the strokes of an earlier run in the report, so that a later run finds them fresh."""
+    """Keep the strokes of an earlier run in the report, so that a later run finds them still valid."""
     earlier = read_previous_run(folder)
     if earlier.scene != report.scene:
         return

@@ -20,7 +20,7 @@ REPORT_NAME = "report.json"
 
 @dataclass(frozen=True)
 class StrokeReport:
-    """Entry of one stroke that was written.
+    """Entry in report.json of one stroke that was written.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Failed:
 
 @dataclass
 class Counts:
-    """Amount of work done, independent of time.
+    """Amount of work done: numbers that, unlike times, are the same on every computer.
 
     Attributes
     ----------
@@ -177,10 +177,10 @@ OPTION_FOR_TAB_PLACE = {
     "Units in the Touch tab": "--scale METRES_PER_UNIT",
     "Feels in the Touch tab": "--material OBJECT[:SLOT]=NAME",
 }
-"""Location in the Touch tab, as notes name it → option with the same effect."""
+"""Location in the Touch tab, as notes name it → command-line option with the same effect."""
 
 
 def add_option_hint(note: str) -> str:
-    """Append the command-line option that does what a note asks for, if there is one."""
+    """Append to a note the command-line option that has the effect of the setting it mentions, if there is one."""
     options = [option for location, option in OPTION_FOR_TAB_PLACE.items() if location in note]
     return f"{note} Here: {', '.join(options)}." if options else note

@@ -1,6 +1,6 @@
 """Run `hnf touch`: from a request to the files of strokes and queries, their report, and the baked .blend.
 
-`run` opens the scene and plans; `touch_strokes` bakes, synthesises and writes the strokes. At the end a summary lists
+`run` opens the scene and plans; `touch_strokes` bakes, synthesizes and writes the strokes. At the end a summary lists
 each result, warnings, and what to do next.
 """
 
@@ -76,7 +76,7 @@ def print_summary(report: Report, request: TouchRequest) -> int:
 
 
 def format_stroke_line(stroke: StrokeReport, folder: Path) -> str:
-    """Format one stroke as one line."""
+    """Format the result of one stroke as one line of text."""
     state = "  (up to date)" if stroke.fresh else ""
     return (
         f"{stroke.name}: {stroke.library_material}, {stroke.confidence:.0%} confidence, {stroke.duration_s:.2f} s, "
@@ -85,7 +85,7 @@ def format_stroke_line(stroke: StrokeReport, folder: Path) -> str:
 
 
 def format_closing(report: Report, folder: Path, *, with_strokes: bool = True) -> list[str]:
-    """Return the closing lines: what was made and what to do next; none if nothing was made."""
+    """Return the closing lines of the summary: what was made and what to do next; none if nothing was made."""
     strokes = report.strokes if with_strokes else []
     if not strokes and not report.probes:
         return []
@@ -97,7 +97,7 @@ def format_closing(report: Report, folder: Path, *, with_strokes: bool = True) -
 
 
 def _format_work(report: Report) -> str:
-    """Describe the work that was done."""
+    """Describe how many images were rendered."""
     if report.counts.renders:
         return f"It took {pluralize(report.counts.renders, 'rendered image')}."
     if report.strokes and all(stroke.fresh for stroke in report.strokes):
@@ -133,7 +133,7 @@ def run(request: TouchRequest) -> int:
 
 @dataclass(frozen=True)
 class _Prepared:
-    """Everything known before rendering.
+    """Everything that is known before rendering: the open scene, its strokes, the earlier run and the plan.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class _Prepared:
 
 
 def _prepare(request: TouchRequest) -> _Prepared:
-    """Open the scene, gather its jobs, and make the plan."""
+    """Open the scene, list its strokes, and make the plan."""
     started = time.monotonic()
     scene = _open_request_scene(request)
     opened = time.monotonic()
@@ -204,11 +204,11 @@ def touch_strokes(
     report: Report,
     progress: ProgressCallback = ignore_progress,
 ) -> None:
-    """Bake, synthesise and write all strokes that are not fresh.
+    """Bake, synthesize and write all strokes whose results of an earlier run are not valid any more.
 
-    Nothing is done if all strokes are fresh and the scene's files are unchanged. If the files changed, fresh strokes
-    are baked again from cached patches, so that their tokens get into the new .blend, and plotted again if their view
-    changed.
+    Nothing is done if all results are still valid (fresh) and the scene's files are unchanged. If the files changed,
+    fresh strokes are baked again from cached patches, so that their tokens get into the new .blend, and plotted again
+    if their view changed.
 
     Parameters
     ----------

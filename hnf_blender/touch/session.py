@@ -1,8 +1,8 @@
 """Session of one run: the strokes to compute, and hashes of everything that their signals depend on.
 
-A `Session` caches the surfaces of a scene; `gather_jobs` lists the strokes as `StrokeJob`. The hash of a job
-(`InputHashes`) is kept in parts, so that a change can be named. `resolve_target` finds an object and slot by
-OBJECT[:SLOT].
+A `Session` caches the surfaces of a scene; `gather_jobs` lists the strokes as `StrokeJob`. The hash of a job's inputs
+(`InputHashes`) is kept in parts, so that a change can be named. `resolve_target` finds an object and material slot
+given as OBJECT[:SLOT] on the command line.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Target:
 
 
 def resolve_target(scene: Any, text: str) -> Target:
-    """Find the object and slot of OBJECT[:SLOT].
+    """Find the object and material slot of the text OBJECT[:SLOT].
 
     Names may contain colons: the longest existing name wins. Case counts only if it distinguishes two names. Raises
     SceneError that lists the existing names.
@@ -147,14 +147,14 @@ PATH_ON_SAME_SURFACE = "path or timing"
 
 @dataclass(frozen=True)
 class InputHashes:
-    """Hashes of a signal's inputs.
+    """Hashes of the inputs of a stroke's signal, by kind, so that a change can be named.
 
     Attributes
     ----------
     made_by : str
         Software, library and field.
     scale : str
-        Metres per unit.
+        Meters per unit.
     shape : str
         Geometry of the surface.
     shading : str
@@ -185,7 +185,7 @@ class InputHashes:
 
     @property
     def path_key(self) -> str:
-        """Hash of all but force, seed and probe; while it is equal, no render is needed."""
+        """Hash of all but force, seed and probe; while it is equal, nothing has to be rendered."""
         return content_hash(*self._iter_without(TOUCH_FIELD))
 
     @property
@@ -194,7 +194,7 @@ class InputHashes:
         return content_hash(*self._iter_without(TOUCH_FIELD, PATH_FIELD))
 
     def describe_changes(self, previous: InputHashes, *, same_surface: bool = False) -> tuple[str, ...]:
-        """Describe the inputs that differ from `previous`.
+        """Describe in words the inputs that differ from those of an earlier bake.
 
         Set `same_surface` if the surface's name is known to be unchanged.
         """
@@ -228,7 +228,7 @@ NO_SCALE_NOTE = (
 
 @dataclass(frozen=True)
 class StrokeJob:
-    """One stroke of a run.
+    """One stroke to compute in a run: a curve of the scene, or a primitive that is still to be placed.
 
     Attributes
     ----------
@@ -256,7 +256,7 @@ class StrokeJob:
 
     @property
     def key(self) -> str:
-        """Hash of all inputs."""
+        """Hash of all inputs of the stroke's signal."""
         return self.inputs.key
 
     @property
@@ -267,7 +267,7 @@ class StrokeJob:
 
 @dataclass(frozen=True)
 class SurfaceFacts:
-    """Facts about an object that need no triangles.
+    """What is known of an object without reading its triangles: materials, hashes, sources of relief.
 
     Attributes
     ----------
@@ -294,7 +294,7 @@ class SurfaceFacts:
 
 @dataclass
 class GatheredJobs:
-    """Jobs of a run, with the objects skipped, the strokes that failed, and notes."""
+    """Strokes of a run (jobs), with the objects skipped, the strokes that failed, and notes for the user."""
 
     jobs: list[StrokeJob] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
@@ -348,7 +348,7 @@ class Session:
         return self._surfaces[name]
 
     def get_splat_notes(self, obj: Any) -> tuple[str, ...]:
-        """Return notes for a reconstructed object: those of its reconstruction, and if it has no scale.
+        """Return notes for a surface reconstructed from splats: those of its reconstruction, and if it has no scale.
 
         Empty for any other object.
         """
@@ -384,7 +384,10 @@ class Session:
         return self._touched[name]
 
     def get_facts(self, obj: Any) -> SurfaceFacts:
-        """Return the facts of an object. Raises SceneError if it is hidden or has no surface."""
+        """Return materials, hashes and relief sources of an object.
+
+        Raises SceneError if it is hidden or has no surface.
+        """
         name = get_scene_name(self.scene, obj)
         if name not in self._facts:
             if not is_visible(obj, self.view_layer):
@@ -413,28 +416,28 @@ class Session:
         return self._facts[name]
 
     def has_facts(self, obj: Any) -> bool:
-        """Return True if an object's facts are cached."""
+        """Return True if `get_facts` of an object is cached."""
         return get_scene_name(self.scene, obj) in self._facts
 
     @property
     def known_names(self) -> set[str]:
-        """Names of the objects that were read."""
+        """Names of the objects whose surfaces or facts are cached."""
         return {*self._facts, *self._surfaces}
 
     def invalidate(self, names: set[str]) -> None:
-        """Forget everything about objects that changed."""
+        """Remove all that is cached about the named objects, which have changed."""
         for cache in (self._surfaces, self._touched, self._facts):
             for name in names & cache.keys():
                 del cache[name]
 
     def get_choices(self, object_name: str) -> dict[int | None, str]:
-        """Return slot (None for any) → library material of the command line; the last choice counts."""
+        """Return slot (None for any) → library material chosen for an object on the command line; the last counts."""
         return {target.slot: material for target, material in self._choices if target.object_name == object_name}
 
     def get_relief_outlook(self, obj: Any, material: str = "") -> list[tuple[ReliefSource, bool]]:
-        """Return (source of the relief, whether the user chose a material) of each slot.
+        """Return for each slot of an object (what its relief can be read from, whether the user chose its material).
 
-        `material` is the library material set on the stroke.
+        `material` is the library material set on the stroke, "" for none.
         """
         facts, choices = self.get_facts(obj), self.get_choices(get_scene_name(self.scene, obj))
         is_chosen = [
@@ -444,15 +447,15 @@ class Session:
         return list(zip(facts.relief_sources, is_chosen, strict=True))
 
     def compute_surface_key(self, obj: Any) -> str:
-        """Hash everything that an object's tokens depend on, apart from single strokes."""
+        """Hash everything that the tokens on an object depend on, apart from single strokes."""
         return self._hash_inputs(get_scene_name(self.scene, obj), "", "", "").surface_key
 
     def choose_seed(self, stroke_seed: int) -> int:
-        """Return the run's seed if there is one, else the stroke's."""
+        """Return the seed given for the entire run if there is one, else the stroke's."""
         return stroke_seed if self.request.seed is None else self.request.seed
 
     def read_stroke(self, curve: Any) -> SceneStroke:
-        """Read a stroke object of the scene."""
+        """Read a stroke object of the scene: its curve, motion, force and surface."""
         return read_stroke(curve, self.scene, self.depsgraph, self.metres_per_unit, surfaces=self.get_surface)
 
     def place_stroke(self, obj: Any, job: StrokeJob, counts: Counts) -> Any:
@@ -465,14 +468,14 @@ class Session:
         return placed.curve
 
     def make_curve_job(self, curve: Any) -> StrokeJob:
-        """Make the job of a stroke object."""
+        """Make the job of a stroke object that exists in the scene."""
         stroke = self.read_stroke(curve)
         seed = self.choose_seed(stroke.seed)
         inputs = self._hash_inputs(stroke.object_name, stroke.material, hash_path(stroke), hash_touch(stroke, seed))
         return StrokeJob(stroke.name, stroke.object_name, inputs, seed, curve_name=stroke.name, stroke=stroke)
 
     def make_placement_job(self, name: str, target: Target, primitive: Primitive) -> StrokeJob:
-        """Make the job of a primitive that is to be placed."""
+        """Make the job of a primitive (predefined stroke) that is still to be placed on `target`."""
         obj, seed = find_object(self.scene, target.object_name), self.choose_seed(0)
         neighbourhood = describe_neighbours(obj, self.scene, self.depsgraph, self.metres_per_unit)
         world = obj.evaluated_get(self.depsgraph).matrix_world
@@ -514,7 +517,7 @@ def make_scene_session(scene: Any, view_layer: Any, folder: Path) -> Session:
 
 
 def _with_splats(source: ReliefSource) -> ReliefSource:
-    """Return the relief source of a slot of a reconstructed surface, whose splats always show a colour."""
+    """Return the relief source of a slot of a reconstructed surface, whose splats always show a color."""
     return ReliefSource.RELIEF if source is ReliefSource.RELIEF else ReliefSource.VARYING_COLOUR
 
 
@@ -525,7 +528,8 @@ def _to_hashable(choice: str | MaterialFile) -> str | bytes:
 def gather_jobs(session: Session) -> GatheredJobs:
     """Return jobs of the scene's strokes and of those requested; with neither, one per touchable material.
 
-    A stroke that cannot be read is listed as failed. Raises SceneError if the scene shows nothing to touch.
+    A job is one stroke to compute. A stroke that cannot be read is listed as failed. Raises SceneError if the scene
+    shows nothing to touch.
     """
     request, scene = session.request, session.scene
     gathered = gather_curve_jobs(session, list_strokes(scene))
@@ -556,7 +560,7 @@ def gather_jobs(session: Session) -> GatheredJobs:
 
 
 def gather_curve_jobs(session: Session, curves: Iterable[Any]) -> GatheredJobs:
-    """Return jobs of stroke objects."""
+    """Return the jobs (strokes to compute) of stroke objects."""
     gathered = GatheredJobs()
     for curve in curves:
         _add_job(gathered, get_scene_name(session.scene, curve), lambda curve=curve: session.make_curve_job(curve))
@@ -564,7 +568,7 @@ def gather_curve_jobs(session: Session, curves: Iterable[Any]) -> GatheredJobs:
 
 
 def add_scene_notes(session: Session, gathered: GatheredJobs) -> None:
-    """Add what the jobs leave out, and warnings about surfaces of implausible size."""
+    """Add notes on objects that no stroke touches, and warnings about surfaces of implausible size."""
     gathered.skipped += list(_iter_skipped(session, {job.object_name for job in gathered.jobs}))
     for name in dict.fromkeys(job.object_name for job in gathered.jobs):
         obj = find_object(session.scene, name)
@@ -573,7 +577,7 @@ def add_scene_notes(session: Session, gathered: GatheredJobs) -> None:
 
 
 def _add_job(gathered: GatheredJobs, name: str, make: Any) -> None:
-    """Append the job that `make` returns, or a failure."""
+    """Append the job that the function `make` returns, or a failure if it raises an error; `name` is the stroke's."""
     try:
         gathered.jobs.append(make())
     except HnfError as error:
@@ -588,7 +592,7 @@ def _make_unique_name(name: str, gathered: GatheredJobs) -> str:
 
 
 def _iter_skipped(session: Session, touched: set[str]) -> Iterator[Skipped]:
-    """Yield what no stroke touches; long lists are abbreviated."""
+    """Yield the objects that no stroke touches (names not in `touched`), with the reason; long lists are shortened."""
     named = get_named_objects(session.scene)
     others = {
         obj: name for name, obj in named.items() if obj.type == "MESH" and name not in touched and not is_cloud(obj)

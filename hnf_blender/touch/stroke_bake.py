@@ -1,6 +1,6 @@
-"""A stroke's bake: everything needed to synthesise it without rendering, stored as bytes on its curve object.
+"""A stroke's bake: everything needed to synthesize it without rendering, stored as bytes on its curve object.
 
-The signal synthesised from it equals, byte for byte, the one that `hnf touch` writes for the stroke.
+The signal synthesized from it equals, byte for byte, the one that `hnf touch` writes for the stroke.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 BAKE_PROPERTY = "hnf_bake"
 """ID property of the stroke's curve object."""
 SCHEMA = 1
-"""Version of the format."""
+"""Version of the format in which bakes are stored."""
 _MECHANICS = ("stiffness_n_m", "damping_ratio", "friction")
 
 Float = NDArray[np.float64]
@@ -40,7 +40,7 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StrokeBake:
-    """One baked stroke.
+    """One baked stroke: everything its signal is synthesized from, without the scene.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class StrokeBake:
 
     @classmethod
     def from_bytes(cls, data: bytes, *, where: str = "stored bake") -> StrokeBake:
-        """Parse a serialised bake. Raises FileError if it is damaged, or of another version."""
+        """Parse a serialized bake. Raises FileError if it is damaged, or of another version."""
         try:
             arrays = read_npz(data)
             schema = int(arrays["schema"])
@@ -143,7 +143,7 @@ class StrokeBake:
 
 
 def make_stroke_bake(baked: BakedStroke, synthesised: SynthesisedStroke, *, key: str, path_key: str) -> StrokeBake:
-    """Make the bake of a synthesised stroke; `key` and `path_key` are those of its job."""
+    """Make the bake of a synthesized stroke; `key` and `path_key` are those of its job."""
     from .synthesise import compute_known_shares, get_signal_facts
 
     return StrokeBake(
@@ -195,9 +195,9 @@ _DAMAGE_ERRORS: tuple[type[Exception], ...] = (HnfError, *NPZ_ERRORS)
 
 
 def _split_byte_planes(values: Float) -> NDArray[np.uint8]:
-    """Split float64 (…) into byte planes (8, …), or (4, …) if float32 represents the values exactly.
+    """Split float64 values (…) into byte planes (8, …), or (4, …) if float32 represents them exactly.
 
-    Neighbouring sign and exponent bytes compress well; digits do not.
+    Plane k has the k-th byte of every value. Neighboring sign and exponent bytes compress well; those of digits do not.
     """
     short = values.astype("<f4")
     flat = np.ascontiguousarray(short if np.array_equal(short, values) else values.astype("<f8"))
@@ -206,7 +206,7 @@ def _split_byte_planes(values: Float) -> NDArray[np.uint8]:
 
 
 def _join_byte_planes(planes: NDArray[np.uint8]) -> Float:
-    """Join the byte planes of `_split_byte_planes`."""
+    """Join the byte planes (8, …) or (4, …) of `_split_byte_planes` to float64 values (…)."""
     if planes.dtype != np.uint8 or planes.ndim < 2 or planes.shape[0] not in (4, 8):
         raise ValueError(f"an array of shape {planes.shape} is not one of byte planes")
     interleaved = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
@@ -258,9 +258,9 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
 
 
 def _pack_fields(stroke: StrokeInput) -> dict[str, NDArray[Any]]:
-    """Pack the fields that come with the stroke's materials, each once, and the field's index per token (−1 for none).
+    """Pack the haptic fields (networks) that come with learned materials, each once.
 
-    Empty if no material has one.
+    For each token there is the index of its field, −1 for none. Empty if no material has one.
     """
     fields = {field.identity: field for field in stroke.fields if field is not None}
     if not fields:

@@ -23,7 +23,7 @@ class Freshness(Enum):
 
 
 class StrokeStatus(NamedTuple):
-    """State of a stroke for the panels.
+    """State of a stroke's stored bake, as the panels show it.
 
     Attributes
     ----------

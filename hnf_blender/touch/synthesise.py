@@ -1,7 +1,8 @@
-"""Synthesise strokes: contacts → patches → materials and tokens → action and height profile → field → signal.
+"""Synthesize strokes: contacts → patches → materials and tokens → action and height profile → field → signal.
 
-`bake_strokes` bakes the strokes of a session one after the other; the command line and Blender's worker process share
-it. `synthesise_stroke` turns a baked stroke into a signal.
+Patches are squares of surface, tokens describe their micro-geometry, the action is direction, speed and force over
+time, and the field is the network that gives the vibration. `bake_strokes` bakes the strokes of a session one after the
+other; the command line and Blender's worker process share it. `synthesise_stroke` turns a baked stroke into a signal.
 """
 
 from __future__ import annotations
@@ -50,16 +51,16 @@ from .report import Counts, Failed, Report
 from .session import Session, StrokeJob
 
 USUAL_HEIGHT_RANGE_M = (0.5e-6, 2e-3)
-"""Usual peak-to-peak heights [m]; others are probably a mistake, or a bump made for its look."""
+"""Usual peak-to-peak heights of a relief [m]; others are probably a mistake, or a bump made for its look."""
 FACT_NAMES = ("object", "material", "library_material", "routes", "height_source")
-"""Names of `get_signal_facts`, in the order in which files list them."""
+"""Names of the facts that `get_signal_facts` returns, in the order in which files list them."""
 MECHANICAL_PROPERTY_COUNT = 3
 """Number of mechanical properties: stiffness, damping, friction."""
 
 
 @dataclass(frozen=True)
 class BakedStroke:
-    """A stroke with everything the field needs; nothing is synthesised yet.
+    """A stroke with everything the field (haptic network) needs; nothing is synthesized yet.
 
     Attributes
     ----------
@@ -89,12 +90,12 @@ class BakedStroke:
 
     @property
     def main_patch(self) -> int:
-        """Patch that most samples touch."""
+        """Index of the patch that most action samples touch."""
         return int(np.bincount(self.patch_index[self.patch_index >= 0]).argmax())
 
     @property
     def main_material(self) -> SlotMaterial:
-        """Material of the main patch."""
+        """Library material of the patch that most action samples touch."""
         return self.materials[self.patches[self.main_patch].slot]
 
     @property
@@ -129,7 +130,7 @@ class BakedStroke:
         ]
 
     def _relief_notes(self) -> list[str]:
-        """Return one note per material with an unusual relief, of its tallest patch."""
+        """Return one note per material whose relief is unusually high or low, about its tallest patch."""
         tallest: dict[str, float] = {}
         for patch, record in zip(self.patches, self.records, strict=True):
             shader = self.materials[patch.slot].shader
@@ -145,7 +146,7 @@ class BakedStroke:
 
 @dataclass(frozen=True)
 class SynthesisedStroke:
-    """Signal of a stroke.
+    """Synthesized signal of a stroke.
 
     Attributes
     ----------
@@ -165,7 +166,7 @@ class SynthesisedStroke:
 
     @property
     def action(self) -> Action:
-        """Action of the stroke."""
+        """Direction, speed and force of the stroke over time."""
         return self.stroke.action
 
 
@@ -178,7 +179,7 @@ def bake_stroke(
     predictor: ReliefPredictor,
     progress: ProgressCallback = ignore_progress,
 ) -> BakedStroke:
-    """Bake one stroke.
+    """Bake one stroke: find its contacts, render its patches, and choose materials and tokens.
 
     Parameters
     ----------
@@ -240,7 +241,7 @@ def bake_stroke(
 
 
 def _select_skipped_images(unlit_images: Iterable[UnlitImage]) -> list[UnlitImage]:
-    """Return one image for each reason and source why relief was not predicted.
+    """Return one unlit image for each pair of reason and source for which a relief was not predicted.
 
     Of those that are too coarse it is the finest, since patches of splats all differ in resolution.
     """
@@ -253,7 +254,7 @@ def _select_skipped_images(unlit_images: Iterable[UnlitImage]) -> list[UnlitImag
 
 
 def drop_maps(baked: BakedStroke) -> BakedStroke:
-    """Return a baked stroke without maps and images, which for a thousand strokes would fill the memory."""
+    """Return a baked stroke without height maps and images, which for a thousand strokes would fill the memory."""
     none = np.zeros((0, 0), dtype=np.bool_)
     records = tuple(
         replace(record, height=None, mask=none, unlit=None, predicted=None, encoder=get_encoder_name(record))
@@ -263,7 +264,10 @@ def drop_maps(baked: BakedStroke) -> BakedStroke:
 
 
 def synthesise_stroke(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> SynthesisedStroke:
-    """Synthesise a baked stroke; increments `counts.network_calls`."""
+    """Synthesize the signal of a baked stroke; increments `counts.network_calls`.
+
+    `field` is used unless a learned material has a field of its own; `seed` is that of the noise.
+    """
     stroke_input = make_stroke_input(baked)
     counts.network_calls += 1
     result = synthesise_by_field(field, stroke_input, seed=seed)
@@ -272,7 +276,7 @@ def synthesise_stroke(baked: BakedStroke, field: Field, seed: int, counts: Count
 
 
 def make_stroke_input(baked: BakedStroke) -> StrokeInput:
-    """Make the input of the field: action, and token, mechanics and field per patch.
+    """Make the input of the field: the action, and for each patch token, mechanics and the field of a learned material.
 
     The height profile under the path uses measured maps only: a predicted map has the right texture, but not the true
     position of each detail.
@@ -296,10 +300,10 @@ def make_stroke_input(baked: BakedStroke) -> StrokeInput:
 
 
 def compute_known_shares(baked: BakedStroke) -> NDArray[np.float64]:
-    """Return the known fraction of the field's condition on each patch (M,), 0 to 1.
+    """Return, for each patch, which fraction of what the field is given is known (M,), 0 to 1.
 
-    The seven bands of the texture count by their routes, the three mechanical properties, which no image shows, by the
-    confidence in the library material.
+    The seven bands of the token count as measured, predicted or prior; the three mechanical properties, which no image
+    shows, count with the confidence in the library material.
     """
     confidences = [baked.materials[patch.slot].confidence for patch in baked.patches]
     total = BAND_COUNT + MECHANICAL_PROPERTY_COUNT
@@ -310,9 +314,9 @@ def compute_known_shares(baked: BakedStroke) -> NDArray[np.float64]:
 
 
 def compute_mean_share(shares: NDArray[np.float64], patch_index: NDArray[np.int32]) -> float:
-    """Return the mean of known shares (M,) over the time of contact.
+    """Return the mean known fraction over the time of contact, from that of each patch (M,).
 
-    `patch_index` (n,) is −1 without contact.
+    `patch_index` (n,) is the patch of each action sample, −1 without contact.
     """
     touched = np.bincount(patch_index[patch_index >= 0], minlength=len(shares))
     return float(np.average(shares, weights=touched))
@@ -338,7 +342,7 @@ def add_provenance(signal: Signal, name: str, facts: Mapping[str, str], confiden
 
 
 def _extend_patch_index(index: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Replace −1 by the last touched patch, before the first contact by the first one."""
+    """Replace −1 in patch indices (n,) by the last touched patch, before the first contact by the first one."""
     touching = np.flatnonzero(index >= 0)
     last = np.clip(np.searchsorted(touching, np.arange(len(index)), side="right") - 1, 0, None)
     return np.asarray(index[touching[last]], dtype=np.int32)
@@ -360,7 +364,7 @@ def bake_strokes(
     on_stroke: OnStroke,
     progress: ProgressCallback = ignore_progress,
 ) -> tuple[BakedStroke, ...]:
-    """Bake every job and pass it to `on_stroke`.
+    """Bake every job (stroke to compute) and pass it to `on_stroke`.
 
     A job that fails is listed in the report; the others are still baked. The last stage, "saving", is left to the
     caller.
@@ -413,7 +417,7 @@ def bake_strokes(
 
 @contextlib.contextmanager
 def record_time(report: Report, name: str) -> Iterator[None]:
-    """Add the duration of this block to report.timings [s]."""
+    """Add the duration of the with block [s] to report.timings[name]."""
     start = time.monotonic()
     try:
         yield
@@ -422,7 +426,7 @@ def record_time(report: Report, name: str) -> Iterator[None]:
 
 
 def _bake_job(session: Session, job: StrokeJob, cache: Path, report: Report, progress: ProgressCallback) -> BakedStroke:
-    """Place or read a job's stroke and bake it."""
+    """Bake a job's stroke, which is read from the scene, or placed first if it is a primitive."""
     stroke = job.stroke
     if stroke is None:
         with record_time(report, "place_s"):

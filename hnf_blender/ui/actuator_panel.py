@@ -34,7 +34,7 @@ PHASE_LABELS = {
 
 
 def describe_profile(profile: ActuatorProfile) -> tuple[str, ...]:
-    """Return a line of text per limit of the actuator."""
+    """Return one line of text for each known limit of an actuator."""
     lines = []
     if profile.range_hz is not None:
         low, high = profile.range_hz
@@ -70,7 +70,7 @@ class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy
 
 
 def draw_user_actuator(layout: Any, settings: Any) -> None:
-    """Draw the fields of an actuator described by the user."""
+    """Draw the fields in which the user describes an actuator: peak and frequency band."""
     column = layout.column(align=True)
     column.prop(settings, "own_peak_m_s2", text="Largest (m/s²)")
     column.prop(settings, "own_lowest_hz", text="Lowest (Hz)")

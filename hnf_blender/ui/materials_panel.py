@@ -32,7 +32,7 @@ MAX_SUGGESTIONS, MAX_BAKES = 4, 5
 
 
 def describe_material(material: Any) -> tuple[str, str]:
-    """Return icon and text of the library material that a Blender material is taken for."""
+    """Return icon and text of the haptic library material that a Blender material is taken for."""
     if material.hnf_touch.library:
         return "LOCKED", format_display_name(material.hnf_touch.library)
     if DEFINITION_PROPERTY in material:
@@ -62,7 +62,7 @@ def list_bakes(scene: Any, obj: Any) -> list[tuple[str, StrokeStatus]]:
 
 
 class HNF_UL_slots(bpy.types.UIList):  # type: ignore[misc]  # bpy has no types, Blender's naming
-    """Material slots with what each feels like."""
+    """List of an object's material slots with what each feels like."""
 
     def draw_item(
         self, context: Any, layout: Any, _data: Any, slot: Any, icon: int, _active_data: Any, _active: str, _index: int
@@ -106,7 +106,7 @@ def draw_learn(layout: Any) -> None:
 
 
 def draw_material(layout: Any, context: Any, material: Any) -> None:
-    """Draw a material with its library material, the artist's choice and the suggestions."""
+    """Draw a Blender material with its library material, the user's choice and the suggestions."""
     icon, text_label = describe_material(material)
     box = layout.box()
     box.label(text=shorten_name(context, material.name), icon="MATERIAL", translate=False)
@@ -132,7 +132,7 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
 
 
 def group_equal_bakes(bakes: list[tuple[str, StrokeStatus]]) -> list[tuple[list[str], StrokeStatus]]:
-    """Group strokes whose bakes read alike: the same slot, material, confidence and routes.
+    """Group strokes whose bakes read alike: the same slot, material, confidence and routes (how the relief is known).
 
     Returns the names of each group and one of its statuses, in the order of first appearance.
     """
@@ -214,7 +214,7 @@ def draw_query_result(layout: Any, context: Any, view: QueryView) -> None:
 
 
 def draw_nearest(layout: Any, context: Any, view: QueryView) -> None:
-    """Draw the nearest library materials as buttons that choose them."""
+    """Draw the library materials nearest to a touch query's result as buttons that choose them."""
     if not view.nearest:
         return
     has_relief = view.seen_m is not None

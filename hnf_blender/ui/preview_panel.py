@@ -25,7 +25,7 @@ def compute_image_size(width_px: float, scale: float) -> float:
 
 
 def has_bake(scene: Any, stroke: Any) -> bool:
-    """Return whether there is a bake, even a stale one; True if that is not known yet."""
+    """Return whether a stroke has a bake, even one that is no longer valid; True if that is not known yet."""
     status = STATE.get_status(scene, stroke)
     return status is None or status.freshness is not Freshness.UNBAKED
 
@@ -73,7 +73,7 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy 
 
 
 def draw_comparison(layout: Any, facts: PreviewFacts) -> None:
-    """Draw the comparison of reference A with the current signal."""
+    """Draw the comparison of reference A (a signal that was kept) with the current signal."""
     if not facts.has_kept:
         layout.operator("hnf.preview_ab", text="Keep as A to Compare", icon="PINNED").action = "KEEP"
         return

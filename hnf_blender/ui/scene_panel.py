@@ -55,7 +55,7 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy ha
 
 
 def filter_by_scene(scene: Any, result: SceneResult | None) -> SceneResult | None:
-    """Return a plan or a job's outcome if it is about this scene, else None."""
+    """Return a plan or a job's outcome if it is about the shown scene, else None."""
     return result if result is not None and result.scene in ("", scene.name) else None
 
 

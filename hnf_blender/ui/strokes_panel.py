@@ -187,7 +187,7 @@ PRIMITIVE_ICONS = {"scrape": "IPO_LINEAR", "rub": "FORCE_VORTEX"}
 
 
 def format_primitive(name: str) -> str:
-    """Format a primitive: "left-right-soft" → "Left right soft  0.5 N, 100 mm/s"."""
+    """Format a primitive (predefined stroke) for the menu: "left-right-soft" → "Left right soft 0.5 N, 100 mm/s"."""
     primitive = PRIMITIVES[name]
     label = tr(name.replace("-", " ").capitalize())
     return f"{label}  {primitive.force:g} N, {primitive.speed * 1e3:g} mm/s"
@@ -207,7 +207,7 @@ class HNF_MT_stroke_add(bpy.types.Menu):  # type: ignore[misc]  # bpy has no typ
 
 
 class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]
-    """Strokes with the state of their bake; a click selects the stroke in the scene too."""
+    """List of strokes with the state of their bake; a click selects the stroke in the scene too."""
 
     def draw_item(
         self, context: Any, layout: Any, _data: Any, obj: Any, _icon: int, _active_data: Any, _active: str, _index: int
@@ -246,9 +246,10 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]
 
 
 def compute_order(names: Sequence[str], indices: Sequence[int], count: int) -> list[int]:
-    """Return the new index of each of `count` objects: the named ones sorted first, all others behind in their order.
+    """Return the new index of each of `count` objects: the named ones sorted first, all others after them.
 
-    Blender's own sort would sort all objects of the scene at each redraw.
+    The others keep their order. The list of strokes uses it, since Blender's own sort would sort all objects of the
+    scene at each redraw.
 
     Parameters
     ----------
@@ -269,12 +270,12 @@ def compute_order(names: Sequence[str], indices: Sequence[int], count: int) -> l
 
 
 def compute_name_share(row_px: float) -> float:
-    """Return the fraction of a row of `row_px` pixels that the name gets."""
+    """Return the fraction of a list row of `row_px` pixels that the stroke's name gets."""
     return max(MIN_SHARE, min(NAME_SHARE, 1.0 - SWITCHES_PX / max(row_px, SWITCHES_PX)))
 
 
 def is_solo(scene: Any, stroke: Any) -> bool:
-    """Return whether this is the only stroke of several that is not muted."""
+    """Return whether a stroke is the only one of several that is not muted."""
     if stroke.hnf_stroke.mute:
         return False
     other_mutes = (obj.hnf_stroke.mute for obj in list_cached_strokes(scene) if obj != stroke)

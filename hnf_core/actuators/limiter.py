@@ -4,14 +4,15 @@ Four bounds hold for every input, however it is cut into blocks:
 
 * Peak: no count exceeds `peak`.
 * Slew: consecutive frames never differ by more than `max_step` counts, across blocks, soft starts and soft stops too.
-* Warming: the coil's mean square, a one-pole filter of y², never exceeds sustained². From `THERMAL_KNEE` of that bound
-  on the gain falls linearly over each grid of frames, so gain changes are inaudible. A level cap behind the gain holds
-  for input that no gain anticipates: the largest level that stays within the bound if it lasts for one grid of frames
-  and is then brought to 0 at the slew limit. Level 0 always satisfies this, since the energy of the ramp down was
-  reserved before; so cap and slew never contradict.
+* Warming: the coil's mean square, a one-pole filter of y², never exceeds sustained². From `THERMAL_KNEE` of that
+  bound on the gain falls linearly. Gain and level cap are updated once per period of `grid_frames` frames (a "grid of
+  frames"), within which the gain changes linearly, so that it is inaudible. The level cap behind the gain holds for
+  input that no gain anticipates: the largest level that stays within the bound if it lasts for one such period and is
+  then brought to 0 at the slew limit. Level 0 always satisfies this, since the energy of the ramp down was reserved
+  before; so cap and slew never contradict.
 * Finite values: NaN and infinity become 0 and are counted.
 
-Energies are sums of whole counts, and everything else is done per value on a grid that starts with the first frame, so
+Energies are sums of whole counts, and everything else is done per value in periods that start with the first frame, so
 the bytes do not depend on the cut into blocks. `ThermalState` carries the coils' warmth from one stream to the next
 within a process.
 """
@@ -84,7 +85,7 @@ class Limiter:
 
     @property
     def heat(self) -> FloatArray:
-        """Warmth of the coils as a fraction of their bound, (channels,) 0–1, as of the last complete grid of frames."""
+        """Warmth of the coils (channels,) as a fraction of their thermal bound, 0–1, at the last gain update."""
         return self._mean_square / self._params.max_mean_square
 
     @property
@@ -121,8 +122,8 @@ class Limiter:
     def soft_stop(self, frames: int) -> Counts:
         """Return (frames, channels) counts that fade out in place of a block.
 
-        They go from the last level to exactly 0 within the ramp, or as soon as the slew allows, and stay 0. May be
-        called repeatedly, for example during a pause.
+        They go from the last level to exactly 0 within the ramp, or as soon as the slew limit allows, and stay 0. May
+        be called repeatedly, for example during a pause.
         """
         if self._is_playing and frames > 0:
             self._is_playing = False
@@ -132,7 +133,7 @@ class Limiter:
         return self._limit(np.zeros((frames, self._channels)))
 
     def flush(self) -> Counts:
-        """Return the entire soft stop, ending with one frame of 0; empty if the limiter rests already. Call it last."""
+        """Return all counts of the soft stop, ending with one frame of 0; empty if the limiter rests. Call it last."""
         if self.is_resting or not (self._last.any() or self._fade_out_frames_left):
             return np.zeros((0, self._channels), dtype=np.int16)
         counts = self.soft_stop(len(self._params.ramp) + self._params.peak // self._params.max_step + 1)
@@ -152,7 +153,10 @@ class Limiter:
         return counts
 
     def _apply_ramps(self, level: FloatArray) -> FloatArray | None:
-        """Fade `level` in, in place; return the fading tail to add to it, or None."""
+        """Apply the fade-in to `level` (n, channels) in place.
+
+        Returns the fade-out from before a stop (n, channels), which is to be added, or None.
+        """
         ramp = self._params.ramp
         if self._is_playing and self._fade_in_frames < len(ramp) - 1:
             steps = np.arange(1, len(level) + 1)
@@ -166,9 +170,10 @@ class Limiter:
         return np.asarray(tail)
 
     def _limit_while_cool(self, level: FloatArray, tail: FloatArray | None, counts: Counts) -> int:
-        """Limit `level` at once while the coils are so cool that only peak and slew matter; return the frames done.
+        """Limit `level` (n, channels) at once while the coils are so cool that only peak and slew matter.
 
-        The result equals that of `_limit_grid` grid by grid, in a third of the time.
+        Writes to `counts` and returns the number of frames done. The result equals that of `_limit_grid` period by
+        period, in a third of the time.
         """
         params = self._params
         if (
@@ -207,7 +212,7 @@ class Limiter:
         return done
 
     def _limit_grid(self, level: FloatArray, tail: FloatArray | None) -> IntArray:
-        """Limit a block that lies within one grid of frames."""
+        """Limit levels (n, channels) that lie within one period between gain updates."""
         params, is_thermally_bounded = self._params, bool(np.isfinite(self._params.max_mean_square))
         target = requested = np.rint(level if tail is None else level + tail)
         if self._is_damped:
@@ -239,7 +244,10 @@ class Limiter:
 
 
 def _is_cool(params: LimiterParams, square: FloatArray) -> bool:
-    """Return whether gain and level cap leave even the warmest coil unrestricted."""
+    """Return True if gain and level cap leave even the warmest coil unrestricted.
+
+    `square` (channels,) is the coils' mean square [counts²].
+    """
     warmest = float(square.max())
     return (1.0 - warmest / params.max_mean_square) / (1.0 - THERMAL_KNEE) >= 1.0 and _is_far_from_bound(
         params, warmest
@@ -247,20 +255,26 @@ def _is_cool(params: LimiterParams, square: FloatArray) -> bool:
 
 
 def _is_far_from_bound(params: LimiterParams, warmest: float) -> bool:
-    """Return whether one grid of frames at the peak, plus the ramp down, uses less than half of the energy left."""
+    """Return True if the coil of mean square `warmest` [counts²] is far from its thermal bound.
+
+    One period between gain updates at the peak, plus the ramp down, then uses less than half of the energy left.
+    """
     most = params.peak * params.peak * (params.grid_frames + params.peak / params.max_step)
     return (params.max_mean_square - params.grid_decay * warmest) / params.pole_weight > 2.0 * most
 
 
 def compute_gains(params: LimiterParams, square: FloatArray) -> FloatArray:
-    """Return gains (channels,) 0–1: 1 up to `THERMAL_KNEE` of the bound, then linearly down to 0 at the bound."""
+    """Return the gains (channels,) 0–1 that keep the coils from overheating, given their mean squares [counts²].
+
+    They are 1 up to `THERMAL_KNEE` of the thermal bound, then fall linearly to 0 at the bound.
+    """
     return np.asarray(np.clip((1.0 - square / params.max_mean_square) / (1.0 - THERMAL_KNEE), 0.0, 1.0))
 
 
 def compute_level_caps(params: LimiterParams, square: FloatArray, last: IntArray) -> IntArray:
-    """Return the largest levels, (channels,) [counts], that keep the mean square within its bound.
+    """Return the largest levels, (channels,) [counts], that keep the coils' mean square within its bound.
 
-    They may last for one grid of frames, followed by the ramp down to 0.
+    They may last for one period between gain updates, followed by the ramp down to 0.
 
     Parameters
     ----------
@@ -291,7 +305,10 @@ def compute_level_caps(params: LimiterParams, square: FloatArray, last: IntArray
 
 
 def compute_ramp_down_energy(params: LimiterParams, level: IntArray) -> FloatArray:
-    """Return an upper bound of the ramp-down energy [counts²]: Σ (level − k·step)² ≤ level³ / (3 step)."""
+    """Return an upper bound of the energy of a ramp from `level` to 0 [counts²].
+
+    Σ (level − k·step)² ≤ level³ / (3 step).
+    """
     amplitude = level.astype(np.float64)
     return np.asarray(amplitude * amplitude * amplitude / (3.0 * params.max_step))
 

@@ -55,7 +55,7 @@ class Limits:
 
     @property
     def peak_counts(self) -> int:
-        """Largest magnitude of a count; rounded down, never up."""
+        """Largest magnitude of a count that `peak` allows; rounded down, never up."""
         return int(self.peak * FULL_SCALE_COUNTS)
 
     def with_device_peak(self, peak_counts: int) -> Limits:

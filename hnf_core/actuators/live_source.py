@@ -1,4 +1,7 @@
-"""Live touch as a stream source: hand events in, samples [m/s²] out, state by state."""
+"""Live touch as a stream source: hand events in, samples [m/s²] out, state by state.
+
+A state is direction, speed and force of the hand at one moment, at 200 Hz.
+"""
 
 from __future__ import annotations
 
@@ -27,18 +30,18 @@ CLOCK_CORRECTION = 0.05
 CLOCK_DRIFT = 1e-4
 """Assumed drift of the hand's clock against the computer's [s/s]."""
 MAX_EVENT_DELAY_S = 0.5
-"""Extra delay of an event beyond which the hand's clock is synchronised anew [s]."""
+"""Extra delay of an event beyond which the hand's clock is synchronized anew [s]."""
 MAX_QUEUED_EVENTS = 4096
 """Largest number of events in each queue."""
 RELEASE_STATES = 12
-"""States after a lift until a synthesis is silent."""
+"""Number of states (5 ms each) after a lift until a synthesis is silent."""
 MAX_RELEASING = 3
 """Largest number of materials that decay at the same time; beyond it the oldest is cut off."""
 
 
 @dataclass(frozen=True)
 class EventTiming:
-    """When an event arrived and took effect: time of `move` [s], and the first frame of this source that it changed."""
+    """When an event arrived (time of `move` [s]), and the first frame of the source that it changed."""
 
     moved_s: float
     frame: int
@@ -52,7 +55,7 @@ class LiveSource:
     Parameters
     ----------
     synthesis : LiveSynthesis
-        Synthesises the signal of the touched materials.
+        Synthesizes the signal of the touched materials.
     clock : callable or None
         Returns seconds from any start. None means that the hand was recorded: its own times count, 5 ms of them per
         state, and reading may be as fast as possible.
@@ -120,7 +123,7 @@ class LiveSource:
             self._queue_event(replace(last, time_s=last.time_s if time_s is None else time_s, force_n=0.0))
 
     def set_synthesis(self, synthesis: LiveSynthesis) -> None:
-        """Change the materials under the hand; the previous signal decays as after a lift."""
+        """Change the materials under the hand; the signal of the previous ones decays as after a lift."""
         with self._lock:
             if self._state is not None:
                 self._releasing.append(_render_release(self._synthesis, self._state))
@@ -156,7 +159,7 @@ class LiveSource:
         return samples[:frames, None]
 
     def prepare(self) -> None:
-        """Compute ahead; see `PreparableSource`."""
+        """Compute the next states ahead, while no samples are requested; see `PreparableSource`."""
         with self._lock:
             synthesis = self._synthesis
         synthesis.prepare()
@@ -182,7 +185,7 @@ class LiveSource:
         return self._offset
 
     def _render_state(self) -> Samples:
-        """Render the samples of one more state."""
+        """Render the samples of one more state (5 ms)."""
         with self._lock:
             time_s = self._advance_clock()
             while self._queued_events and (self._clock is not None or self._queued_events[0][1].time_s <= time_s):
@@ -199,7 +202,7 @@ class LiveSource:
         return samples.astype(np.float32)
 
     def _advance_clock(self) -> float:
-        """Return the time of the next state on the computer's clock."""
+        """Return the time of the next state on the computer's clock [s]."""
         if self._clock is None:
             first = self._queued_events[0][1].time_s if self._queued_events else 0.0
             self._time = first if self._time is None else self._time + STATE_S
@@ -221,7 +224,7 @@ class LiveSource:
 
 
 def _render_release(synthesis: LiveSynthesis, state: LiveState) -> Iterator[Float]:
-    """Yield what still sounds after a lift, state by state."""
+    """Yield what still sounds after a lift, state by state (5 ms each)."""
     lifted = replace(state, speed=0.0, force=0.0, contact=False)
     for _ in range(RELEASE_STATES):
         yield synthesis.step(lifted)

@@ -141,7 +141,7 @@ def predict_limiting(
 
 
 def _compute_limited_share(chain: SignalChain) -> float:
-    """Return the fraction of a chain's samples that the limits change, 0–1."""
+    """Return the fraction of a signal chain's samples that the limits change, 0–1."""
     frames = 0
     while not chain.ended:
         frames += len(chain.render_block(_BLOCK_FRAMES))
@@ -149,9 +149,9 @@ def _compute_limited_share(chain: SignalChain) -> float:
 
 
 def _find_max_gain_db(make_chain: ChainFactory, limits: Limits, gain_db: float, first_guess_db: float) -> float | None:
-    """Search the highest gain that changes nothing: the guess, the step above it, then by bisection.
+    """Search the highest gain [dB] at which the limiter changes nothing.
 
-    Every gain that is returned has been tried.
+    It tries the guess, the step above it, then bisects. Every gain that is returned has been tried.
     """
     lowest, high = round(MIN_GAIN_DB * STEPS_PER_DB), math.ceil(gain_db * STEPS_PER_DB)
     low, guess = lowest, math.floor(max(first_guess_db, MIN_GAIN_DB) * STEPS_PER_DB)

@@ -49,7 +49,8 @@ from .player_messages import (
     decode_command,
     encode,
 )
-from .profile import USER_PROFILE_NAME, ActuatorProfile, load_profile, make_user_profile
+from .profile import USER_PROFILE_NAME, ActuatorProfile, make_user_profile
+from .profile_json import load_profile
 from .sink import SinkFormat
 from .sources import BufferSource, db_to_gain, read_acceleration
 from .stream import Stream
@@ -94,7 +95,7 @@ class Playback:
         return self.stream.wait(0.0)
 
     def status(self) -> Status:
-        """Return the status report of this playback."""
+        """Return the status report of this playback for the client."""
         report = self.stream.report
         position_s, latency_ms = 0.0, report.latency_p99_ms
         if isinstance(self.source, LiveSource):
@@ -137,11 +138,11 @@ QueuedCommand = Play | LiveBegin | Pause | Resume | Seek | Loop | Gain | Swap
 
 
 class Superseded(Exception):  # noqa: N818 (not an error: a later stop was requested)
-    """Signals that a playback was stopped before it began."""
+    """Exception: a playback was stopped before it began."""
 
 
 class Player:
-    """Executes commands: `receive` on the reading thread, `execute` on a thread that may wait.
+    """Executor of commands: `receive` on the reading thread, `execute` on a thread that may wait.
 
     `playback` may be read from any thread. `send_report` accepts reports without delay.
     """
@@ -157,7 +158,7 @@ class Player:
         self._pending_move: Move | None = None
 
     def receive(self, command: Command) -> QueuedCommand | None:
-        """Execute stops and moves at once; return any other command for `execute`."""
+        """Execute stops and hand movements at once; return any other command for `execute`."""
         if isinstance(command, Move):
             self._store_move(command)
             return None
@@ -195,7 +196,7 @@ class Player:
                 self._adjust_playback(command)
 
     def stop(self) -> None:
-        """Silence and release the device; a playback that is about to begin does not."""
+        """Silence and release the device; a playback that is about to begin does not begin."""
         with self._lock:
             self.stop_count += 1
             self._pending_move = None
@@ -312,7 +313,7 @@ class Player:
                 self._opening = None
 
     def _check_not_superseded(self) -> None:
-        """Raise Superseded if a stop came after the present command."""
+        """Raise Superseded if a stop arrived after the command that is being executed."""
         if self.stop_count > self._stops_at_receipt:
             raise Superseded
 
@@ -323,7 +324,7 @@ class Player:
         self.playback = playing
 
     def _get_playback(self) -> Playback:
-        """Return the playback that runs, or ran when the command was received.
+        """Return the playback that runs, or that ran when the command was received.
 
         Raises Superseded if a stop came before it began, and UsageError if nothing plays.
         """
@@ -340,7 +341,10 @@ def _apply_move(source: BufferSource | LiveSource, move: Move) -> None:
 
 
 class ReportWriter(threading.Thread):
-    """Thread that alone writes reports and status, so that a parent that does not read delays nothing else."""
+    """Thread that alone writes reports and status to standard output.
+
+    A parent process that does not read therefore delays nothing else.
+    """
 
     def __init__(self, out: BinaryIO) -> None:
         super().__init__(name="hnf-player-teller", daemon=True)
@@ -382,7 +386,7 @@ class ReportWriter(threading.Thread):
 
 
 def resolve_profile(output: OutputSpec) -> ActuatorProfile:
-    """Return the actuator profile of an output; raise UsageError or FileError if there is none."""
+    """Return the actuator profile of an output; raise UsageError or FileError if it does not exist or is invalid."""
     if output.profile != USER_PROFILE_NAME:
         return load_profile(output.profile)
     if len(output.own) != 3:
@@ -430,7 +434,7 @@ class CommandWorker(threading.Thread):
         self._queue: queue.SimpleQueue[tuple[QueuedCommand | HnfError, int] | None] = queue.SimpleQueue()
 
     def submit_line(self, line: str) -> bool:
-        """Decode and queue a line, on the reading thread; return whether it was Quit."""
+        """Decode and queue a command line, on the reading thread; return True if it was Quit."""
         try:
             command = decode_command(line)
         except HnfError as error:
@@ -442,7 +446,7 @@ class CommandWorker(threading.Thread):
         return isinstance(command, Quit)
 
     def close(self) -> None:
-        """Let the present command finish, for a second at most; nothing of it plays any more."""
+        """Let the command in progress finish, for a second at most; it begins no playback any more."""
         self._queue.put(None)
         self.join(CLOSE_TIMEOUT_S)
 

@@ -38,7 +38,7 @@ class OutputSpec:
 
 @dataclass(frozen=True)
 class Play:
-    """Plays a WAV instead of what plays now.
+    """Command: play a WAV instead of what plays now.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Play:
 
 @dataclass(frozen=True)
 class LiveBegin:
-    """Begins a live touch instead of what plays now; silent until the first Move.
+    """Command: begin a live touch instead of what plays now; silent until the first Move.
 
     If a live touch already plays there its stream continues, and the previous material decays. `material` is a .hnf
     file or a name from the library.
@@ -84,7 +84,7 @@ class LiveBegin:
 
 @dataclass(frozen=True)
 class Move:
-    """Moves the hand: at `time_s` of its own clock it is at (`x_m`, `y_m`) and presses with `force_n`; 0 = lifted.
+    """Command: the hand is at (`x_m`, `y_m`) at `time_s` of its own clock, and presses with `force_n` (0 = lifted).
 
     Ignored without a live touch, since it may have been sent before that ended. While a LiveBegin is still being
     executed, the last move received applies from its beginning.
@@ -98,45 +98,45 @@ class Move:
 
 @dataclass(frozen=True)
 class Pause:
-    """Fades out and stays at the position."""
+    """Command: fade out and stay at the position."""
 
 
 @dataclass(frozen=True)
 class Resume:
-    """Continues with a fade-in."""
+    """Command: continue after a pause, with a fade-in."""
 
 
 @dataclass(frozen=True)
 class Seek:
-    """Continues at `position_s` with a cross-fade."""
+    """Command: continue at `position_s` [s] of the recording, with a cross-fade."""
 
     position_s: float
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Sets whether the recording repeats."""
+    """Command: set whether the recording repeats."""
 
     loop: bool
 
 
 @dataclass(frozen=True)
 class Gain:
-    """Sets the gain, with a fade."""
+    """Command: set the gain, with a fade."""
 
     gain_db: float
 
 
 @dataclass(frozen=True)
 class Swap:
-    """Continues at the same position of another WAV of the same rate, with a cross-fade."""
+    """Command: continue at the same position of another WAV of the same rate, with a cross-fade."""
 
     file: str
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Silences softly and at once, and releases the device.
+    """Command: silence softly and at once, and release the device.
 
     A Play or LiveBegin that is still being executed does not begin; a Status reports it as ended.
     """
@@ -144,7 +144,7 @@ class Stop:
 
 @dataclass(frozen=True)
 class Quit:
-    """Stops and exits; the end of standard input does the same."""
+    """Command: stop and exit; the end of standard input does the same."""
 
 
 Command = Play | LiveBegin | Move | Pause | Resume | Seek | Loop | Gain | Swap | Stop | Quit
@@ -152,14 +152,14 @@ Command = Play | LiveBegin | Move | Pause | Resume | Seek | Loop | Gain | Swap |
 
 @dataclass(frozen=True)
 class Ready:
-    """First report, with the version of these messages."""
+    """First report of the player, with the version of these messages."""
 
     version: int
 
 
 @dataclass(frozen=True)
 class Began:
-    """Reports that the device is open and gets samples.
+    """Report: the device is open and gets samples.
 
     `queue_ms` is the longest time queued on it; `note` describes how the samples are processed.
     """
@@ -173,7 +173,7 @@ class Began:
 
 @dataclass(frozen=True)
 class Status:
-    """State of the playback, sent 20 times a second while something plays and once when that ends.
+    """Report on the playback, sent 20 times a second while something plays and once when that ends.
 
     Attributes
     ----------
@@ -218,13 +218,13 @@ class Status:
 
     @classmethod
     def make_ended(cls, play: int) -> Status:
-        """Make the status of a playback that was stopped before it began."""
+        """Make the final status report of a playback that was stopped before it began."""
         return cls(play, "ended", 0.0, 0.0, 0.0, 0, 0, 0, 0.0, 0.0, None, "")
 
 
 @dataclass(frozen=True)
 class Refused:
-    """Reports a command that was not executed, and why, in one line.
+    """Report: a command was not executed, and why, in one line.
 
     What plays continues, unless a Play or LiveBegin could not get its device. `play` is the number of that Play or
     LiveBegin, else −1.
@@ -238,18 +238,18 @@ Report = Ready | Began | Status | Refused
 
 
 def encode(message: Command | Report) -> str:
-    """Encode a message as a line without its end."""
+    """Encode a message as a line of text without a newline."""
     return encode_json(message, **{"is": type(message).__name__})
 
 
 def decode_command(line: str) -> Command:
-    """Decode a command; raise UsageError with a one-line message if the line holds none."""
+    """Decode a command; raise UsageError with a one-line message if the line is not a valid one."""
     command: Command = _decode(line, _COMMANDS)
     return command
 
 
 def decode_report(line: str) -> Report:
-    """Decode a report; raise UsageError with a one-line message if the line holds none."""
+    """Decode a report; raise UsageError with a one-line message if the line is not a valid one."""
     report: Report = _decode(line, _REPORTS)
     return report
 

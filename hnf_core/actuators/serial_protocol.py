@@ -49,7 +49,7 @@ RAMP_MS = 4
 
 
 class State(IntEnum):
-    """State of the device.
+    """State of the device in the protocol.
 
     `WAITING` means started but silent for lack of samples, `STOPPING` fading to silence, and `FAULT` silent until a new
     HELLO because of the last ERROR.
@@ -90,7 +90,7 @@ class _NumericMessage:
 
 @dataclass(frozen=True)
 class Hello(_NumericMessage):
-    """Host: offers the protocol versions `lowest` to `highest`."""
+    """Message from the host: offers the protocol versions `lowest` to `highest`."""
 
     lowest: int = VERSION
     highest: int = VERSION
@@ -106,7 +106,7 @@ class Hello(_NumericMessage):
 
 @dataclass(frozen=True)
 class Start(_NumericMessage):
-    """Host: starts a stream, whose first frame has position 0.
+    """Message from the host: starts a stream, whose first frame has position 0.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class Start(_NumericMessage):
 
 @dataclass(frozen=True)
 class Samples:
-    """Host: frames of the stream from `position` on (frames since START, modulo 2³²).
+    """Message from the host: frames of the stream from `position` on (frames since START, modulo 2³²).
 
     `data` is int16, little-endian, interleaved, in complete frames. A message without frames only reports the host's
     position.
@@ -185,7 +185,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Stop(_NumericMessage):
-    """Host: stops the stream, after the queued frames if `drain`, else now with the queue dropped.
+    """Message from the host: stops the stream, after the queued frames if `drain`, else now with the queue dropped.
 
     A payload other than 0 or 1 means now.
     """
@@ -203,7 +203,7 @@ class Stop(_NumericMessage):
 
 @dataclass(frozen=True)
 class Ping(_NumericMessage):
-    """Host: checks the connection; the device replies with PONG and STATUS."""
+    """Message from the host: checks the connection; the device replies with PONG and STATUS."""
 
     token: int
 
@@ -218,7 +218,7 @@ class Ping(_NumericMessage):
 
 @dataclass(frozen=True)
 class Bye(_NumericMessage):
-    """Host: leaves. The device becomes silent as after STOP, then IDLE."""
+    """Message from the host: it leaves. The device becomes silent as after STOP, then IDLE."""
 
     TYPE: ClassVar[int] = 0x06
     SIZES: ClassVar[tuple[int, int]] = (0, 0)
@@ -231,7 +231,7 @@ class Bye(_NumericMessage):
 
 @dataclass(frozen=True)
 class Caps:
-    """Device, in reply to HELLO: chosen protocol version and capabilities.
+    """Message from the device, in reply to HELLO: chosen protocol version and capabilities.
 
     Attributes
     ----------
@@ -279,7 +279,7 @@ class Caps:
 
 @dataclass(frozen=True)
 class Credit(_NumericMessage):
-    """Device, at least every 2 ms during a stream: how many frames it can take.
+    """Message from the device, at least every 2 ms during a stream: how many frames it can take.
 
     Attributes
     ----------
@@ -311,14 +311,14 @@ class Credit(_NumericMessage):
         return cls(session, played, queue, free, State(state))
 
     def compute_sendable_frames(self, sent: int) -> int:
-        """Return how many frames a host may send that has sent `sent` (modulo 2³²); negative if it sent too many."""
+        """Return how many more frames a host may send that has sent `sent` (modulo 2³²); negative if too many."""
         outstanding = (sent - self.played) & 0xFFFFFFFF
         return self.queue - (outstanding if outstanding < 0x80000000 else outstanding - 0x100000000)
 
 
 @dataclass(frozen=True)
 class Status(_NumericMessage):
-    """Device: counters since HELLO.
+    """Message from the device: counters since HELLO.
 
     Attributes
     ----------
@@ -355,7 +355,7 @@ class Status(_NumericMessage):
 
 @dataclass(frozen=True)
 class Pong(_NumericMessage):
-    """Device: reply to PING with its token."""
+    """Message from the device: reply to PING with its token."""
 
     token: int
 
@@ -370,7 +370,7 @@ class Pong(_NumericMessage):
 
 @dataclass(frozen=True)
 class Error:
-    """Device: a request was refused, or the device cannot continue.
+    """Message from the device: a request was refused, or the device cannot continue.
 
     `code` is an `ErrorCode` or a code of a later version; `text` is for people.
     """
@@ -440,7 +440,7 @@ def encode_frame(message: Message, sequence: int) -> bytes:
 
 
 class Encoder:
-    """Frame encoder that numbers its frames; each side has one."""
+    """Encoder of messages as frames, which it numbers; host and device have one each."""
 
     def __init__(self) -> None:
         self._sequence = 0
@@ -452,11 +452,11 @@ class Encoder:
 
 
 class Decoder:
-    """Incremental frame decoder for bytes in pieces of any size.
+    """Incremental decoder of frames from bytes that arrive in pieces of any size.
 
-    It never raises, and stores at most one frame of maximum size. Bytes that cannot be a frame (a type that the other
-    side does not send, a length that the type does not have, a wrong CRC) lose only their two sync bytes; everything
-    after them is searched again.
+    It never raises, and stores at most one frame of maximum size. Of bytes that cannot be a frame (a type that the
+    other side does not send, a length that the type does not have, a wrong CRC) only the two sync bytes are dropped;
+    the search for a frame continues right after them.
 
     Parameters
     ----------
@@ -483,7 +483,7 @@ class Decoder:
         self.crc_errors = self.gaps = self.malformed = self.skipped = 0
 
     def feed(self, data: bytes) -> list[Message]:
-        """Return the messages that end within `data`, in order."""
+        """Return the messages that become complete with `data`, in order."""
         messages: list[Message] = []
         buffer = self._buffer + bytes(data)
         position = 0

@@ -1,4 +1,4 @@
-"""The signal chain of a stream: source → processors → resampler → limiter → counts.
+"""The signal chain of a stream: source → processors (filters) → resampler → limiter → counts.
 
 A block of acceleration [m/s²], (n, channels) float32, goes in; (m, channels) int16 counts at the device's rate come
 out. There is no thread, device or clock in here.
@@ -82,11 +82,14 @@ class Resampler(Protocol):
     name: str
 
     def process(self, block: Samples) -> Samples:
-        """Convert a block, (n, channels) → (m, channels) float32, as far as the output is determined."""
+        """Convert a block, (n, channels) → (m, channels) float32, as far as the input received so far determines it."""
         ...
 
     def finish(self) -> Samples:
-        """Return the remaining frames; n input frames give ⌈n · to / from⌉ output frames in total."""
+        """Return the output frames that remain after the last block.
+
+        n input frames give ⌈n · to / from⌉ output frames in total.
+        """
         ...
 
 
@@ -189,7 +192,7 @@ class PolyphaseResampler:
         return self._render_until(-(-self._frames_in * self._frames_per_step // self._step))
 
     def _render_until(self, end: int) -> Samples:
-        """Return all frames before `end` that have not been rendered yet."""
+        """Return all output frames before index `end` that have not been rendered yet."""
         chunks = [
             self._render_frames(k, min(k + _CHUNK_FRAMES, end)) for k in range(self._frames_out, end, _CHUNK_FRAMES)
         ]
@@ -211,7 +214,10 @@ class PolyphaseResampler:
         return np.ascontiguousarray(frames.T, dtype=np.float32)
 
     def _get_filter_weights(self, phase: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return (n, taps) weights for (n,) phases, in units of 1 / `_frames_per_step` of a frame."""
+        """Return the filter weights (n, taps) for n output frames by their phase.
+
+        A phase is the position between two input frames, in units of 1 / `_frames_per_step` of a frame.
+        """
         if self._phases == self._frames_per_step:
             return np.asarray(self._table[phase])
         table_position = phase * (self._phases / self._frames_per_step)
@@ -247,7 +253,7 @@ def design_polyphase_taps(shift: NDArray[np.float64], half: int, rate_ratio: flo
 
 
 class SignalChain:
-    """The stages between a source and a device, rendered block by block.
+    """The stages between a source and a device (filters, resampler, limiter), rendered block by block.
 
     A source of one channel is copied to all channels of the device.
 
@@ -342,7 +348,7 @@ class SignalChain:
         return self.limiter.process(samples)
 
     def prepare(self) -> None:
-        """Let the source compute ahead; see `PreparableSource`."""
+        """Let the source compute ahead, while no block is requested; see `PreparableSource`."""
         if self._preparable_source is not None and not self.ended:
             self._preparable_source.prepare()
 

@@ -171,7 +171,7 @@ class BufferSource:
 
 
 class _Voice:
-    """Samples and the read position `at` in them; `wrapped` means that it has passed the seam of a loop."""
+    """Samples being played, and the read position `at` in them; `wrapped` means that it has passed a loop's end."""
 
     def __init__(self, samples: Samples, at: int, fade: int, *, wrapped: bool = False) -> None:
         self.samples, self.at, self.wrapped = samples, min(at, len(samples)), wrapped
@@ -196,9 +196,9 @@ class _Voice:
         return np.concatenate([block, np.repeat(last, frames - len(block), axis=0)])
 
     def _crossfade_seam(self, frames: NDArray[np.intp], wrapped: bool | NDArray[np.bool_]) -> Samples:
-        """Return the indexed frames; after a seam the recording's last value fades out beneath its first ones.
+        """Return the frames at the given indices; `wrapped` tells which follow the jump from a loop's end to its start.
 
-        This avoids a jump and keeps the period.
+        There the recording's last value fades out beneath its first ones, which avoids a jump and keeps the period.
         """
         block = self.samples[frames]
         fading = (frames < self._fade) & wrapped
@@ -235,7 +235,7 @@ class TruncatedSource:
         return self._source.channels
 
     def read(self, frames: int) -> Samples:
-        """Return the next frames, up to the cut."""
+        """Return the next frames, until the source is cut off."""
         block = self._source.read(min(frames, self._frames_left))
         self._frames_left -= len(block)
         return block

@@ -36,7 +36,7 @@ _BINS = 10_000
 
 
 class DurationHistogram:
-    """Histogram of durations in bins of 10 µs up to 100 ms, of constant size."""
+    """Histogram of durations in bins of 10 µs up to 100 ms; its size does not grow."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS + 1, dtype=np.int64)
@@ -181,7 +181,7 @@ class RingBuffer:
         return True
 
     def get(self, max_frames: int, timeout_s: float) -> tuple[Counts, float]:
-        """Return up to `max_frames` frames in order, and the stamp of the first.
+        """Return up to `max_frames` frames in order, and the time stamp of the first.
 
         Sleeps while the ring is empty, for at most `timeout_s`; then it returns no frames, as it does after the end.
         """
@@ -364,7 +364,7 @@ class Stream:
             )
 
     def pause(self) -> None:
-        """Fade out and halt the source; the device continues with silence."""
+        """Fade out and halt the source; silence is sent to the device."""
         self._paused = True
 
     def resume(self) -> None:
@@ -495,7 +495,7 @@ class Stream:
             self._drain_ring(ring)
 
     def _drain_ring(self, ring: RingBuffer) -> None:
-        """Write the frames left, and the limiter's fade-out, to a sink without a soft stop of its own (a file)."""
+        """Write the frames left, and the limiter's fade-out, to a sink that has no soft stop of its own (a file)."""
         deadline = time.monotonic() + _JOIN_TIMEOUT_S
         while not ring.ended and time.monotonic() < deadline:
             counts, stamp = ring.get(self._sink.wait(_POLL_S), _POLL_S)
@@ -564,7 +564,7 @@ if hasattr(os, "register_at_fork"):
 def _stop_first_at_exit() -> None:
     """Register `_stop_all` anew, so that it runs before the exit handlers of libraries that sinks have loaded.
 
-    Handlers run in reverse order of registration; a library would otherwise end below a playing stream.
+    Handlers run in reverse order of registration; a library would otherwise end while a stream still uses it.
     """
     atexit.unregister(_stop_all)
     atexit.register(_stop_all)

@@ -21,7 +21,7 @@ TARGET_FORMS = "serial:PORT[@BAUD], audio[:DEVICE], osc:HOST:PORT[/ADDRESS], fil
 
 @dataclass(frozen=True)
 class SerialTarget:
-    """A device on a serial port; a baud rate of None means the protocol's usual one."""
+    """Target "serial:PORT": a device on a serial port; a baud rate of None means the protocol's usual one."""
 
     port: str
     baudrate: int | None = None
@@ -33,7 +33,7 @@ class SerialTarget:
 
 @dataclass(frozen=True)
 class AudioTarget:
-    """A sound output: part of its name, its index, or None for the system's default."""
+    """Target "audio": a sound output by part of its name, its index, or None for the system's default."""
 
     device: str | int | None = None
 
@@ -44,7 +44,7 @@ class AudioTarget:
 
 @dataclass(frozen=True)
 class OscTarget:
-    """An OSC receiver (UDP)."""
+    """Target "osc:HOST:PORT": a receiver of OSC messages (UDP)."""
 
     host: str
     port: int
@@ -58,7 +58,7 @@ class OscTarget:
 
 @dataclass(frozen=True)
 class FileTarget:
-    """A WAV or NPY file to write."""
+    """Target "file:PATH": a WAV or NPY file to write."""
 
     path: Path
 
@@ -69,7 +69,7 @@ class FileTarget:
 
 @dataclass(frozen=True)
 class VirtualTarget:
-    """The simulated device."""
+    """Target "virtual": the simulated device."""
 
     @property
     def text(self) -> str:
@@ -80,7 +80,7 @@ Target = SerialTarget | AudioTarget | OscTarget | FileTarget | VirtualTarget
 
 
 def parse_target(text: str) -> Target:
-    """Parse a target; raise UsageError with the expected form if it has none."""
+    """Parse a stream target such as "serial:/dev/ttyACM0"; raise UsageError with the expected form if it is invalid."""
     kind, colon, rest = text.strip().partition(":")
     if kind == "virtual" and not colon:
         return VirtualTarget()

@@ -1,4 +1,4 @@
-"""Write a signal in m/s² to other formats, read it back, and measure what the conversion lost.
+"""Write a haptic signal in m/s² to other file formats, read it back, and measure what the conversion lost.
 
 `formats.py` lists all formats with their writers and readers; `convert.py` has the two entry points, `export_signal`
 and `import_signal`. Read `formats.py` first.

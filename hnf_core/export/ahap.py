@@ -94,10 +94,10 @@ def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
 
 
 def encode_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[str, Any]], int]:
-    """Return the entries of the pattern and the number of values above full scale.
+    """Return the entries of an AHAP pattern, and the number of values above full scale.
 
-    Curves apply to clicks too. During a click the continuous event therefore pauses and the intensity curve is 1; the
-    sharpness there is that of the curve.
+    AHAP curves apply to clicks (transient events) too. During a click the continuous event therefore pauses and the
+    intensity curve is 1; the sharpness there is that of the curve.
     """
     intensity = np.sqrt(np.clip(envelope.amplitude / options.full_scale_m_s2, 0.0, 1.0))
     relative_frequency = np.clip(normalise_frequency(envelope.frequency, options.range_hz), 0.0, 1.0)
@@ -118,7 +118,10 @@ def encode_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dic
 
 
 def _find_pauses(envelope: Envelope) -> list[Pause]:
-    """Return a pause for every click, within the signal and before its last `PAUSE_RAMP_S` / 2."""
+    """Return a pause of the continuous event for every click within the signal.
+
+    Clicks in the last `PAUSE_RAMP_S` / 2 get none.
+    """
     end, half = envelope.duration_s, 0.5 * EMPHASIS_DURATION_S
     pauses = []
     for emphasis in envelope.emphases:
@@ -129,7 +132,10 @@ def _find_pauses(envelope: Envelope) -> list[Pause]:
 
 
 def _raise_in_pauses(time: Float, value: Float, pauses: list[Pause]) -> Curve:
-    """Set the curve to 1 during each pause, except for a ramp of `PAUSE_RAMP_S` / 4 inside both ends."""
+    """Set a curve to 1 during each pause, except for a ramp of `PAUSE_RAMP_S` / 4 inside both ends.
+
+    `time` and `value` (k,) are the curve's control points.
+    """
     outside = np.ones(len(time), bool)
     times, values = [], []
     for start, _, stop, _ in pauses:
@@ -156,7 +162,7 @@ def _iter_continuous_events(start: float, end: float) -> Iterator[dict[str, Any]
 
 
 def read_ahap(path: Path, options: ImportOptions) -> Signal:
-    """Read the pattern of a file and render it.
+    """Read the pattern of an AHAP file and render it to samples [m/s²].
 
     Of overlapping continuous events the strongest counts. Attack, decay, release, audio, and parameters that jump are
     not rendered; they are listed in provenance["ignored"]. Raises FileError if the file is damaged.
@@ -171,9 +177,10 @@ def read_ahap(path: Path, options: ImportOptions) -> Signal:
 
 
 def decode_pattern(record: dict[str, Any], origin: Provenance, path: Path) -> tuple[Envelope, tuple[str, ...]]:
-    """Return the envelope of a pattern in m/s² and Hz, and the names of ignored entries.
+    """Return the envelope of an AHAP pattern in m/s² and Hz, and the names of ignored entries.
 
-    Raises FileError if the pattern is damaged or holds no haptic event.
+    `record` is the file's JSON, `origin` has full scale and range. Raises FileError if the pattern is damaged or holds
+    no haptic event.
     """
     reading = JsonReader(path)
     events: list[tuple[float, float, float, float]] = []
@@ -228,9 +235,11 @@ def _combine_events(
     control: dict[str, Curve],
     origin: Provenance,
 ) -> Envelope:
-    """Combine events (start, stop, intensity, sharpness) and clicks (time, intensity, sharpness) with their curves.
+    """Combine continuous events and clicks of a pattern, with their curves, to an envelope.
 
-    A linear intensity is a parabola of amplitude, so points are added every `ENVELOPE_STEP_S`. Edges are ramps of 1 ns.
+    Events are (start, stop, intensity, sharpness), clicks (time, intensity, sharpness); `control` has the intensity and
+    sharpness curves. A linear intensity is a parabola of amplitude, so points are added every `ENVELOPE_STEP_S`. Edges
+    are ramps of 1 ns.
     """
     last_stop = max((stop for _, stop, _, _ in events), default=0.0)
     end = max([last_stop, *(at + 0.5 * EMPHASIS_DURATION_S for at, _, _ in clicks if at > last_stop or not events)])
@@ -291,7 +300,10 @@ def _list_assumptions(pattern: list[Any]) -> tuple[str, ...]:
 
 
 def _read_curve(reading: JsonReader, curve: dict[str, Any], lowest: float) -> Curve:
-    """Read a curve; its times count from the start of the pattern."""
+    """Read an AHAP parameter curve, with its times counted from the start of the pattern.
+
+    Values are clipped to `lowest` … 1.
+    """
     start = reading.get_number(curve, "Time", 0.0, MAX_TIME_S)
     rows = reading.get_array(curve, "ParameterCurveControlPoints")
     if not rows:
@@ -307,7 +319,7 @@ def _read_curve(reading: JsonReader, curve: dict[str, Any], lowest: float) -> Cu
 
 
 def _concatenate_curves(curves: list[Curve], default: float) -> Curve:
-    """Join curves in the order of their starts, with `default` before the first; values are held between curves."""
+    """Join curves in the order of their starts; before the first the value is `default`, between curves it is held."""
     if not curves:
         return np.zeros(1), np.full(1, default)
     curves = sorted(curves, key=lambda curve: float(curve[0][0]))
@@ -327,7 +339,10 @@ def _concatenate_curves(curves: list[Curve], default: float) -> Curve:
 
 
 def _iter_curves(name: str, time: Float, value: Float, points: Index) -> Iterator[dict[str, Any]]:
-    """Yield curves of at most `MAX_POINTS_PER_CURVE` points, each of which starts where the previous one ends."""
+    """Yield AHAP curves of parameter `name` of at most `MAX_POINTS_PER_CURVE` points.
+
+    Each starts where the previous one ends. `points` are indices of control points in `time` and `value`.
+    """
     for first in range(0, max(1, len(points) - 1), MAX_POINTS_PER_CURVE - 1):
         part = points[first : first + MAX_POINTS_PER_CURVE]
         # Times are rounded before they are made relative; otherwise a point could lie before the start of its curve.

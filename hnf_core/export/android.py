@@ -55,7 +55,7 @@ def write_android(path: Path, signal: Signal, options: ExportOptions) -> tuple[s
 def encode_steps(envelope: Envelope, full_scale_m_s2: float) -> tuple[list[int], list[int], int]:
     """Return timings [ms], amplitudes (0 … 255) and the number of steps above full scale.
 
-    An amplitude is the RMS of its step. Equal neighbours are merged.
+    An amplitude is the RMS of its step. Neighboring steps of equal amplitude are merged.
     """
     duration_ms = round(1000.0 * envelope.duration_s)
     edges = np.append(np.arange(0, duration_ms, STEP_MS), duration_ms)
@@ -72,7 +72,7 @@ def encode_steps(envelope: Envelope, full_scale_m_s2: float) -> tuple[list[int],
 
 
 def compute_centre_frequency(envelope: Envelope) -> float:
-    """Return the mean frequency [Hz], weighted with power."""
+    """Return the mean frequency of an envelope [Hz], weighted with power."""
     power = np.square(envelope.amplitude)
     if not power.any():
         return float(envelope.frequency[0])
@@ -80,9 +80,10 @@ def compute_centre_frequency(envelope: Envelope) -> float:
 
 
 def read_android(path: Path, options: ImportOptions) -> Signal:
-    """Read the steps of a file and render them at the frequency in metadata, else at the middle of the range.
+    """Read the steps of an Android waveform file and render them to samples [m/s²].
 
-    Raises FileError if the file is damaged.
+    Their frequency is the one in the file's metadata, else the middle of the range. Raises FileError if the file is
+    damaged.
     """
     record = read_json(path)
     metadata = record.get("metadata")
@@ -96,9 +97,10 @@ def read_android(path: Path, options: ImportOptions) -> Signal:
 
 
 def decode_steps(record: dict[str, Any], origin: Provenance, path: Path) -> Envelope:
-    """Return the envelope of the steps in m/s², with ramps of 1 ns between them.
+    """Return the envelope of an Android waveform's steps in m/s², with ramps of 1 ns between them.
 
-    Raises FileError if the steps are damaged or repeat for ever.
+    `record` is the file's JSON, `origin` has full scale and range. Raises FileError if the steps are damaged or repeat
+    for ever.
     """
     reading = JsonReader(path)
     timings, amplitudes = reading.get_array(record, "timings"), reading.get_array(record, "amplitudes")

@@ -1,6 +1,7 @@
 """Export a signal to a format and import one from it, as the command line and Blender both do.
 
-Also checks that an export, its sidecar and its mesh overwrite no file that they do not own.
+Every export gets a sidecar, FILE.json, which states its scale and loss. This module also checks that an export, its
+sidecar and its mesh overwrite no file that they do not own.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ class ExportResult:
 
     @property
     def dropped(self) -> tuple[str, ...]:
-        """Sentences on what the format cannot hold."""
+        """Sentences on what of the signal the format cannot hold."""
         return self.loss.dropped
 
     @property

@@ -51,7 +51,7 @@ def write_csv(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
 
 
 def read_csv(path: Path, options: ImportOptions) -> Signal:
-    """Read a table; seed and provenance come from the sidecar if it matches the file.
+    """Read a table of times and accelerations; seed and provenance come from the sidecar if it matches the file.
 
     Raises FileError if the header is another one, times do not rise evenly, a value is not finite, or there are fewer
     than two rows.
@@ -79,7 +79,7 @@ def read_csv(path: Path, options: ImportOptions) -> Signal:
 
 
 def _infer_rate(time: NDArray[np.float64], path: Path) -> float:
-    """Return the sample rate [Hz], a whole number if the rounded times allow one."""
+    """Return the sample rate [Hz] of times (n,) [s]: a whole number if the rounded times allow one."""
     with np.errstate(over="ignore"):
         span = time[-1] - time[0]
     if not span > 0.0:
@@ -145,7 +145,7 @@ def read_npz(path: Path, options: ImportOptions) -> Signal:
 
 
 def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    """Read an array after checking that its header claims no more data than the file holds."""
+    """Read an array of an NPZ archive after checking that its header claims no more data than the file holds."""
     info = archive.getinfo(f"{name}.npy")
     if info.file_size > MAX_TABLE_BYTES:
         raise ValueError(f"{name} is larger than {MAX_TABLE_BYTES} bytes")
@@ -163,7 +163,10 @@ def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
 
 
 def _read_array_header(stream: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Read shape, Fortran order and dtype of the array that follows; numpy parses the literal without evaluating it."""
+    """Read shape, Fortran order and dtype of the .npy array that follows in a stream.
+
+    The header is a Python literal, which numpy parses without evaluating it.
+    """
     layout: Any = np.lib.format
     read = layout.read_array_header_1_0 if layout.read_magic(stream) == (1, 0) else layout.read_array_header_2_0
     shape, fortran, dtype = read(stream)

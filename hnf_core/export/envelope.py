@@ -5,7 +5,7 @@ RMS over a Hann window (a sine of 3 m/s² has amplitude 3, noise of 1 m/s² RMS 
 centroid within the range, Im(z̄ z′)/(2π |z|²) averaged with the power as weight (L. Cohen, Time-Frequency Analysis,
 1995, ch. 2), which is exact for a tone and any window. `compute_envelope` computes both with numpy's FFT.
 
-`select_control_points` reduces a curve to few points with straight lines between them. `render_envelope` synthesises
+`select_control_points` reduces a curve to few points with straight lines between them. `render_envelope` synthesizes
 acceleration from an envelope, as a device that knows only amplitude and frequency does. The last functions map m/s² and
 Hz to the 0 … 1 of file formats and count clipped values.
 """
@@ -32,7 +32,7 @@ Index = NDArray[np.intp]
 ENVELOPE_STEP_S = 0.005
 """Interval between envelope values before control points are chosen [s]."""
 HALF_WINDOW_S = 0.010
-"""Half the length of the Hann window [s]."""
+"""Half the length of the Hann window in which amplitude and frequency are averaged [s]."""
 PEAK_REACH_S = 0.025
 """Half width of the window [s] whose largest sample bounds the amplitude: half a period at 20 Hz."""
 FLANK_OCTAVES = 0.5
@@ -45,13 +45,14 @@ times above the amplitude at its own time. That amplitude includes all frequenci
 covered only the range, every steady vibration above the range would be a row of clicks.
 """
 SIDE_STEPS = (3, 12)
-"""First and last grid step of the intervals before and after a point."""
+"""Distances from a point, in grid steps of the envelope, between which the amplitude before and after it is taken for
+click detection."""
 MIN_CLICK_SHARE = 0.2
 """Smallest height of a click, as a fraction of the signal's peak."""
 MIN_CLICK_SPACING_S = 0.030
 """Smallest interval between two clicks [s]."""
 MIN_AMPLITUDE_SHARE = 1e-3
-"""Fraction of the largest amplitude below which the frequency is undefined; it is interpolated from the neighbours."""
+"""Fraction of the largest amplitude below which the frequency is undefined; it is interpolated from the neighbors."""
 ROUNDING_SHARE = 1e-12
 """Fraction of the largest sample below which an amplitude is a rounding error of the FFT."""
 _WINDOWS_PER_BLOCK = 4096
@@ -59,7 +60,7 @@ _WINDOWS_PER_BLOCK = 4096
 
 @dataclass(frozen=True)
 class Emphasis:
-    """Click: time [s], amplitude [m/s²] and frequency [Hz]."""
+    """Click: time [s], amplitude [m/s²] and frequency [Hz]. File formats call it an emphasis or a transient."""
 
     time_s: float
     amplitude: float
@@ -68,7 +69,7 @@ class Emphasis:
 
 @dataclass(frozen=True)
 class Envelope:
-    """Amplitude and frequency over time, linear between k points.
+    """Amplitude and frequency of a vibration over time, linear between k points.
 
     Attributes
     ----------
@@ -169,10 +170,10 @@ def make_envelope_grid(count: int, rate: float) -> Index:
 
 
 def compute_analytic_signal(x: Float, rate: float, range_hz: tuple[float, float]) -> tuple[Complex, Complex, Float]:
-    """Return z and dz/dt of `x` within the range, and `x` without frequencies below it.
+    """Return the analytic signal z of `x` (n,) within a frequency range, dz/dt, and `x` without frequencies below it.
 
-    The flanks are raised cosines of `FLANK_OCTAVES` outside the range. `x` is continued by its mirror image, so that
-    neither a sudden start nor an offset causes a transient at the ends.
+    The flanks of the filter are raised cosines of `FLANK_OCTAVES` outside the range. `x` is continued by its mirror
+    image, so that neither a sudden start nor an offset causes a transient at the ends.
     """
     hertz = np.fft.rfftfreq(2 * len(x), 1.0 / rate)
     octaves = np.log2(np.maximum(hertz, 1e-9))
@@ -185,28 +186,31 @@ def compute_analytic_signal(x: Float, rate: float, range_hz: tuple[float, float]
 
 
 def _cosine_flank(outside: Float) -> Float:
-    """Return the gain of a flank: 1 inside, 0 from `FLANK_OCTAVES` outside."""
+    """Return the gain of the band-pass filter at distances outside the range [octaves].
+
+    It is 1 inside the range and 0 from `FLANK_OCTAVES` on.
+    """
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(outside / FLANK_OCTAVES, 0.0, 1.0)))
 
 
 def reduce_windows(values: Float, centres: Index, half_width: int, reduce: Callable[[Float, Float], Float]) -> Float:
-    """Apply a function to the window around each centre, in blocks of bounded memory.
+    """Apply a function to the window around each center index of `values`, in blocks of bounded memory.
 
     Parameters
     ----------
     values : (n,) float64
         Samples.
     centres : (m,) int
-        Indices of the window centres.
+        Indices of the window centers.
     half_width : int
-        Samples on each side of a centre.
+        Samples on each side of a center.
     reduce : callable
         Maps rows (b, 2 half_width + 1) and a mask of the same shape, 1 where a sample exists, to (b,).
 
     Returns
     -------
     (m,) float64
-        One value per centre.
+        One value per center.
     """
     reduced = np.empty(len(centres))
     offsets = np.arange(-half_width, half_width + 1)
@@ -221,8 +225,8 @@ def reduce_windows(values: Float, centres: Index, half_width: int, reduce: Calla
 def _detect_clicks(height: Float, rate: float, centres: Index, body: Float, min_height: float) -> dict[int, float]:
     """Return grid index → height of each click, in order of time; of clicks that are too close the highest.
 
-    `body` is the amplitude on the grid of the signal whose magnitude is `height`. A height below `min_height` is
-    rounding.
+    `height` (n,) is the signal's magnitude, `centres` are the sample indices of the envelope's grid, `body` is the
+    amplitude there. A height below `min_height` is a rounding error.
     """
     half_window = max(1, round(0.5 * ENVELOPE_STEP_S * rate))
     peak = reduce_windows(height, centres, half_window, _window_max)
@@ -252,7 +256,10 @@ def _window_max(rows: Float, inside: Float) -> Float:
 
 
 def _larger_side_median(rows: Float, inside: Float) -> Float:
-    """Return the larger of the medians before and after the centre."""
+    """Return, for each row (window), the larger of the medians before and after its center.
+
+    `inside` is 1 where a sample exists.
+    """
     side = SIDE_STEPS[1] - SIDE_STEPS[0] + 1
     return np.asarray(np.maximum(np.median(rows[:, :side], axis=1), np.median(rows[:, -side:], axis=1)))
 
@@ -262,9 +269,9 @@ MAX_FREQUENCY_ERROR = 0.02
 
 
 def select_control_points(time: Float, value: Float, error: float, required: Iterable[int] = ()) -> Index:
-    """Return the indices of a small set of points whose connecting lines stay within `error` of all others.
+    """Return the indices of a small set of points of a curve, whose connecting lines stay within `error` of all others.
 
-    A greedy pass; the first point, the last one and those in `required` are always included.
+    It is a greedy pass; the first point, the last one and those in `required` are always included.
     """
     times, values = time.tolist(), value.tolist()
     chosen = [0]
@@ -275,7 +282,7 @@ def select_control_points(time: Float, value: Float, error: float, required: Ite
 
 
 def select_frequency_points(envelope: Envelope) -> Index:
-    """Return the indices of the frequency's control points."""
+    """Return the indices of the control points of an envelope's frequency, within `MAX_FREQUENCY_ERROR`."""
     return select_control_points(envelope.time, np.log(envelope.frequency), MAX_FREQUENCY_ERROR)
 
 
@@ -290,8 +297,8 @@ def separate_equal_times(time: Float) -> Float:
 def _find_farthest_point(time: Sequence[float], value: Sequence[float], error: float, start: int, stop: int) -> int:
     """Return the farthest point up to `stop` that a line from `start` reaches within `error` of all points between.
 
-    Such a line lies in the cone of slopes that pass each of them within the error, which only narrows (J. Sklansky and
-    V. Gonzalez, 1980).
+    `time` and `value` are the curve, `start` and `stop` indices. Such a line lies in the cone of slopes that pass each
+    point within the error, which only narrows (J. Sklansky and V. Gonzalez, 1980).
     """
     low, high, best = -math.inf, math.inf, start + 1
     for index in range(start + 1, stop + 1):
@@ -371,23 +378,23 @@ CLIPPED_PREFIX = "Clipped"
 
 
 def normalise_frequency(hertz: Any, range_hz: tuple[float, float]) -> Any:
-    """Map Hz linearly to 0 … 1 of the range."""
+    """Map frequencies in Hz linearly to 0 … 1 of a range."""
     return (hertz - range_hz[0]) / (range_hz[1] - range_hz[0])
 
 
 def denormalise_frequency(share: Any, range_hz: tuple[float, float]) -> Any:
-    """Map 0 … 1 of the range linearly to Hz."""
+    """Map 0 … 1 of a frequency range linearly to Hz."""
     return range_hz[0] + share * (range_hz[1] - range_hz[0])
 
 
 def count_clipped(envelope: Envelope, options: ExportOptions) -> int:
-    """Count the values and clicks above full scale, ignoring rounding errors."""
+    """Count the amplitudes and clicks of an envelope above full scale, ignoring rounding errors."""
     levels = np.concatenate([envelope.amplitude, [emphasis.amplitude for emphasis in envelope.emphases]])
     return int(np.count_nonzero(np.round(levels / options.full_scale_m_s2, 12) > 1.0))
 
 
 def format_clipped(count: int, options: ExportOptions) -> tuple[str, ...]:
-    """Return the sentence on clipped values, or nothing if `count` is 0."""
+    """Return a sentence on `count` clipped values, or nothing if it is 0."""
     if not count:
         return ()
     return (f"{CLIPPED_PREFIX}: {count} values above the full scale of {options.full_scale_m_s2:g} m/s².",)

@@ -139,7 +139,7 @@ def power_to_level_db(power: float) -> float | None:
 
 
 def format_loss_table(loss: ConversionLoss) -> str:
-    """Format a loss as a table for a terminal, or as one line if the conversion is exact."""
+    """Format the loss of a conversion as a table for a terminal, or as one line if the conversion is exact."""
     before, after = loss.before, loss.after
     if loss.exact:
         return _append_dropped(f"Every sample reads back as it was: {_format_stats(before)}.", loss)
@@ -161,13 +161,13 @@ def format_loss_table(loss: ConversionLoss) -> str:
 
 
 def format_rendered_summary(loss: ConversionLoss) -> str:
-    """Summarise a signal rendered from a file without samples, where a loss table has nothing to compare with."""
+    """Summarize a signal rendered from a file without samples, for which a loss table has nothing to compare."""
     head = "Rendered from strength and frequency over time, and its waveform is made up"
     return _append_dropped(f"{head}: {_format_stats(loss.after)}.", loss)
 
 
 def describe_sidecar_loss(loss: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    """Describe the loss of an earlier export, from `ConversionLoss.to_json` in the sidecar named `where`.
+    """Describe the loss of an earlier export, as `ConversionLoss.to_json` stored it in the sidecar file named `where`.
 
     The sentences in "dropped" follow unchanged; not all of them are losses, for example the one that states a gain.
     """
@@ -184,7 +184,7 @@ def describe_sidecar_loss(loss: Mapping[str, Any], where: str) -> tuple[str, ...
 
 
 def format_level_table(facts: SignalStats, bands: tuple[BandChange, ...]) -> str:
-    """Format crest factor, dynamics and the level of each octave band (`after` of each band) for a terminal."""
+    """Format crest factor, range of levels and the level of each octave band (`after` of each band) for a terminal."""
     rows: list[tuple[str, ...]] = [
         ("crest factor", _format_level(facts.crest_db)),
         ("dynamics, 5–95 %", _format_level(facts.range_db)),
@@ -199,13 +199,13 @@ def _format_stats(facts: SignalStats) -> str:
 
 
 def _significant_bands(bands: tuple[BandChange, ...]) -> list[BandChange]:
-    """Return the bands that are less than `BAND_RANGE_DB` below the loudest."""
+    """Return the octave bands that are less than `BAND_RANGE_DB` below the loudest."""
     loudest = max(max(band.before, band.after) for band in bands)
     return [item for item in bands if max(item.before, item.after) > loudest * 10.0 ** (-BAND_RANGE_DB / 10.0)]
 
 
 def _align_columns(rows: list[tuple[str, ...]]) -> str:
-    """Align the first column left and the others right."""
+    """Align the cells of a text table: the first column left and the others right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [[row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows]
     return "\n".join("  ".join(line).rstrip() for line in lines)

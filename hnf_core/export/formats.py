@@ -73,12 +73,12 @@ class Format:
     fit: Fit | None = None
 
     def fitted(self, signal: Signal, options: ExportOptions) -> ExportOptions:
-        """Return the options that a file of `signal` is written with."""
+        """Return the options that a file of `signal` is written with: with the full scale of `fit`, if there is one."""
         return options if self.fit is None else self.fit(signal, options)
 
     @property
     def states_scale(self) -> bool:
-        """True if 1 stands for a full scale in its files."""
+        """True if 1 in its files stands for a full scale in m/s²."""
         return self.scaled or self.fit is not None
 
 

@@ -50,7 +50,7 @@ _MAX_GLB_BYTES = 2**32 - 1
 
 
 class BufferBuilder:
-    """Binary buffer of a glTF file, with its buffer views and accessors."""
+    """Binary buffer of a glTF file, with its buffer views and accessors, which grows as data is appended."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -62,7 +62,10 @@ class BufferBuilder:
         return bytes(self._data)
 
     def add_bytes(self, data: bytes, target: int | None = None) -> int:
-        """Append bytes, aligned to four, as a new view; return its index."""
+        """Append bytes, aligned to four, as a new buffer view; return its index.
+
+        `target` is glTF's code for vertex or index data.
+        """
         self._data.extend(b"\0" * (-len(self._data) % 4))
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(data)}
         if target is not None:
@@ -130,7 +133,10 @@ def decode_glb(data: bytes, path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 def get_view_bytes(tree: dict[str, Any], block: bytes, index: object, path: Path) -> bytes:
-    """Return the bytes of a buffer view. Raises FileError if it is missing or out of bounds."""
+    """Return the bytes of a GLB's buffer view with an index. Raises FileError if it is missing or out of bounds.
+
+    `tree` is the GLB's JSON, `block` its buffer.
+    """
     try:
         view = tree["bufferViews"][index]
         start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
@@ -163,7 +169,7 @@ Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 @dataclass(frozen=True)
 class VertexTable:
-    """Table of N vertices, each with one normal, UV and baked material, so that nothing is averaged between faces.
+    """Table of N glTF vertices, each with one normal, UV and baked material, so that nothing is averaged between faces.
 
     Attributes
     ----------
@@ -195,7 +201,7 @@ class VertexTable:
 
 
 def build_vertex_table(surface: TouchedSurface) -> VertexTable:
-    """Merge equal corners into vertices, in the order of the triangles."""
+    """Make the vertices of a surface for glTF by merging equal face corners, in the order of the triangles."""
     mesh = surface.mesh
     count = len(mesh.triangles)
     normal = _normalise_rows(mesh.normals.reshape(-1, 3) @ Y_UP.T)
@@ -225,7 +231,10 @@ def build_vertex_table(surface: TouchedSurface) -> VertexTable:
 
 
 def find_distinct_rows(rows: Float32) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first row of each kind, in the order of the rows, and the kind of each row. Compares bits."""
+    """Return the index of the first of each set of equal rows (n, k), in their order, and the set of each row (n,).
+
+    Rows are compared bit by bit.
+    """
     rows = np.ascontiguousarray(rows)
     row_bytes = rows.view(np.dtype((np.void, rows.strides[0]))).reshape(-1)
     _, first, inverse = np.unique(row_bytes, return_index=True, return_inverse=True)
@@ -236,7 +245,7 @@ def find_distinct_rows(rows: Float32) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def find_vertices_on_path(surface: TouchedSurface, table: VertexTable) -> NDArray[np.int32]:
-    """Return the sorted vertices of `table` in the triangles under the surface's path; empty if there is no path."""
+    """Return the sorted vertices of `table` in the triangles that the stroke touches; empty if its path is unknown."""
     if surface.path is None:
         return np.zeros(0, dtype=np.int32)
     touched = np.unique(surface.path.triangle[surface.path.triangle > UNTOUCHED])
@@ -244,28 +253,32 @@ def find_vertices_on_path(surface: TouchedSurface, table: VertexTable) -> NDArra
 
 
 def compute_taxel_uv(token: NDArray[np.int64], entries: int) -> Float32:
-    """Return (…, 2) UVs of each token's pixel centre in the row of taxels, whose first pixel is untouched surface."""
+    """Return UVs (…, 2) of each token's pixel center in the row of taxels.
+
+    Taxels are the pixels of a texture with one pixel per baked material, after a first one for untouched surface.
+    `entries` is the number of materials.
+    """
     across = (token + 1 + 0.5) / compute_taxel_row_width(entries)
     return np.asarray(np.stack([across, np.full(across.shape, 0.5)], axis=-1), dtype=np.float32)
 
 
 def compute_taxel_row_width(entries: int) -> int:
-    """Return the width of a row of taxels [pixels]: a power of two with room for `entries` and the untouched surface.
+    """Return the width [pixels] of the texture with one pixel (taxel) per baked material and one for untouched surface.
 
-    Old renderers need a power of two.
+    It is a power of two, which old renderers need; `entries` is the number of materials.
     """
     return 1 << entries.bit_length()
 
 
 def encode_placement(placement: NDArray[np.float64]) -> list[float]:
-    """Return a world ← surface matrix (Blender's axes) as glTF's 16 numbers, column by column."""
+    """Return a surface's world matrix (4, 4) in Blender's axes as glTF's 16 numbers, column by column."""
     rotation = np.eye(4)
     rotation[:3, :3] = Y_UP
     return [float(value) for value in (rotation @ placement @ rotation.T).T.ravel()]
 
 
 def _normalise_rows(normals: NDArray[np.float64]) -> Float32:
-    """Normalise to unit length in float32; a zero vector becomes +y, since glTF needs a direction."""
+    """Normalize normals (n, 3) to unit length in float32; a zero vector becomes +y, since glTF needs a direction."""
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     up = np.array([0.0, 1.0, 0.0])
     return np.where(length > 1e-12, normals / np.where(length > 1e-12, length, 1.0), up).astype(np.float32)
@@ -276,10 +289,10 @@ _NEAREST, _CLAMP = 9728, 33071
 
 
 def encode_haptic_material(palette: Palette, buffer: BufferBuilder, uv_map: int) -> dict[str, Any]:
-    """Build glTF's samplers, images, textures and extensions for a palette.
+    """Build glTF's samplers, images, textures and extensions for the baked materials of a palette.
 
     A property without a value in any material is left out. `uv_map` is the number of the TEXCOORD that points at the
-    taxels.
+    textures' pixels, one per material.
     """
     roughness = np.sqrt(np.sum(10.0 ** (2.0 * palette.tokens[:, LEVELS].astype(np.float64)), axis=1))
     columns: dict[str, tuple[str, str, str, list[float | None]]] = {
@@ -309,7 +322,7 @@ def encode_haptic_material(palette: Palette, buffer: BufferBuilder, uv_map: int)
 
 
 def encode_palette(palette: Palette) -> dict[str, Any]:
-    """Return the palette as JSON values without loss, for extras."""
+    """Return the palette of baked materials as JSON values without loss, for glTF's extras."""
     return {
         "schema": palette.schema,
         "encoder": palette.encoder_id,
@@ -328,14 +341,17 @@ def _get_mechanics(palette: Palette, name: str) -> list[float | None]:
 
 
 def _encode_taxel_row(values: list[float | None], largest: float) -> bytes:
-    """Encode a row of taxels as PNG: 0 for untouched or unknown, 255 for the largest value."""
+    """Encode a property's values as a PNG of one row, a pixel (taxel) per material.
+
+    A pixel is 0 for untouched or unknown, 255 for the value `largest`.
+    """
     pixels: NDArray[np.uint8] = np.zeros((1, compute_taxel_row_width(len(values))), dtype=np.uint8)
     pixels[0, 1 : len(values) + 1] = [round(255.0 * (value or 0.0) / largest) for value in values]
     return encode_grey_png(pixels)
 
 
 def encode_grey_png(pixels: NDArray[np.uint8]) -> bytes:
-    """Encode (H, W) values, row by row from the top, as a grey PNG (W3C, "Portable Network Graphics", 3rd edition).
+    """Encode (H, W) values, row by row from the top, as a gray PNG (W3C, "Portable Network Graphics", 3rd edition).
 
     Equal pixels give equal bytes with one version of zlib.
     """
@@ -358,7 +374,7 @@ _TRIANGLES = 4
 
 
 def write_glb(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write the surface in `options` with the signal; return sentences on what was left out.
+    """Write the surface in `options` with the signal as GLB; return sentences on what was left out.
 
     Raises UsageError if `options` has no surface, FileError if the signal is not finite or the file cannot be written.
     """

@@ -60,7 +60,7 @@ def write_haptic(path: Path, signal: Signal, options: ExportOptions) -> tuple[st
 
 
 def encode_haptic(envelope: Envelope, options: ExportOptions) -> tuple[dict[str, Any], int]:
-    """Return "version" and "signals" of the file, and the number of values above full scale."""
+    """Return the JSON keys "version" and "signals" of a .haptic file, and the number of values above full scale."""
     strength = np.round(envelope.amplitude / options.full_scale_m_s2, 12)
     marks = {int(np.argmin(np.abs(envelope.time - emphasis.time_s))): emphasis for emphasis in envelope.emphases}
     points = []
@@ -87,7 +87,10 @@ def encode_haptic(envelope: Envelope, options: ExportOptions) -> tuple[dict[str,
 
 
 def read_haptic(path: Path, options: ImportOptions) -> Signal:
-    """Read the envelopes of a file and render them. Raises FileError for any breach of the rules above."""
+    """Read the envelopes of a .haptic file and render them to samples [m/s²].
+
+    Raises FileError if the file breaks a rule of the format.
+    """
     record = read_json(path)
     metadata = record.get("metadata")
     origin = parse_provenance(metadata.get("description") if isinstance(metadata, dict) else None, options)
@@ -98,7 +101,7 @@ def read_haptic(path: Path, options: ImportOptions) -> Signal:
 
 
 def _list_assumptions(record: dict[str, Any], envelope: Envelope) -> tuple[str, ...]:
-    """List what a valid file leaves undefined and how it was interpreted."""
+    """List what a valid .haptic file leaves undefined and how it was interpreted."""
     envelopes = record["signals"]["continuous"]["envelopes"]
     assumptions, first = [], float(envelopes["amplitude"][0]["time"])
     if not envelopes.get("frequency"):
@@ -110,7 +113,10 @@ def _list_assumptions(record: dict[str, Any], envelope: Envelope) -> tuple[str, 
 
 
 def decode_haptic(record: dict[str, Any], origin: Provenance, path: Path) -> Envelope:
-    """Return the file's envelopes in m/s² and Hz, on common times. Raises FileError if the file is damaged."""
+    """Return the envelope of a .haptic file in m/s² and Hz, its two curves resampled to common times.
+
+    `record` is the file's JSON, `origin` has full scale and range. Raises FileError if the file is damaged.
+    """
     reading = JsonReader(path)
     version = reading.get_object(record, "version")
     if reading.get_number(version, "major", 0, 1e9) != 1:

@@ -5,7 +5,7 @@ reads and checks (MPEGGroup/HapticReferenceSoftware, BSD: IOHaptics/src/IOJson.c
 Types/src/Band.cpp), profile "Main", level 1.
 
 Writing: a signal is one band of type Curve with linear interpolation and one keyframe per sample, so that nothing is
-lost. Effects last one second each and share their border sample, as the reference synthesiser joins them.
+lost. Effects last one second each and share their border sample, as the reference synthesizer joins them.
 amplitude_modulation is a fraction of full scale, −1 … 1; a louder signal has a gain above 1 and is not clipped. Full
 scale in m/s², seed and provenance are JSON in the three descriptions (at most 255 bytes each).
 
@@ -15,7 +15,7 @@ scale in m/s², seed and provenance are JSON in the three descriptions (at most 
   speed in ticks per second, so a player that supports only time plays it at that speed.
 
 Reading: files written here, and of other files bands of the types Curve, VectorialWave and Transient. They are rendered
-as the reference software's synthesiser does (Types/src/Band.cpp, Types/src/Effect.cpp), with a chirp's phase as the
+as the reference software's synthesizer does (Types/src/Band.cpp, Types/src/Effect.cpp), with a chirp's phase as the
 exact integral of its frequency.
 """
 
@@ -65,7 +65,7 @@ _REMEDY = "Write WAV instead, or shorten the stroke."
 
 @dataclass(frozen=True)
 class VibrotactileTexture:
-    """Vibration over the distance of a stroke.
+    """Vibration over the distance of a stroke, bound to the vertices that it touches.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class VibrotactileTexture:
 
 
 def get_mesh_path(path: Path) -> Path:
-    """Return the path of the GLB that a texture in `path` refers to."""
+    """Return the path of the GLB mesh to which the vibrotactile texture in the .hjif file `path` refers."""
     return path.with_name(f"{path.name}.glb")
 
 
@@ -144,7 +144,7 @@ def encode_hjif(
     texture: VibrotactileTexture | None = None,
     where: str = "hjif",
 ) -> dict[str, Any]:
-    """Return the file as JSON objects; equal input gives equal trees.
+    """Return the content of a .hjif file as JSON objects; equal input gives equal trees.
 
     Parameters
     ----------
@@ -223,9 +223,10 @@ def encode_hjif(
 def make_texture(
     signal: Signal, path: StrokePath, vertices: NDArray[np.int32], mesh: str, where: str = "hjif"
 ) -> VibrotactileTexture:
-    """Resample a signal over the distance travelled: linear interpolation of a(t) at t(distance), one sample per tick.
+    """Resample a signal over the distance traveled: linear interpolation of a(t) at t(distance), one sample per tick.
 
-    Times at rest have no extent in distance and are dropped. Raises FileError if the hand does not move.
+    A tick is a step of 1, 10 or 100 µm; `vertices` are those under the stroke. Times at rest have no extent in distance
+    and are dropped. Raises FileError if the hand does not move.
     """
     speed = path.mean_speed_m_s
     if speed <= 0.0:
@@ -243,12 +244,12 @@ def make_texture(
 
 
 def texture_to_signal(signal: Signal, texture: VibrotactileTexture) -> Signal:
-    """Return a texture as it is read back: as a signal at the mean speed."""
+    """Return a vibrotactile texture as it is read back: as a signal at the stroke's mean speed."""
     return replace(signal, samples=texture.samples, sample_rate=float(texture.rate))
 
 
 def _encode_band(shares: NDArray[np.float64], rate: int) -> dict[str, Any]:
-    # Nine digits distinguish every float32 from its neighbours.
+    # Nine digits distinguish every float32 from its neighbors.
     values = [float(f"{fraction:.9g}") for fraction in shares]
     effects = []
     for start in range(0, max(len(values) - 1, min(len(values), 1)), rate):
@@ -269,7 +270,10 @@ def _encode_band(shares: NDArray[np.float64], rate: int) -> dict[str, Any]:
 
 
 def _encode_device(options: ExportOptions) -> dict[str, Any]:
-    """Return the reference device; maximum_amplitude is left out because its unit is not public."""
+    """Return the reference device of the .hjif file.
+
+    maximum_amplitude is left out because its unit is not public.
+    """
     low, high = (min(hertz, MAX_DEVICE_HZ) for hertz in options.range_hz)
     name = f"a device of {options.full_scale_m_s2:g} m/s^2"
     return {"id": 0, "name": name, "minimum_frequency": low, "maximum_frequency": high}
@@ -287,7 +291,7 @@ def _require_integer_rate(signal: Signal, where: str) -> int:
 
 
 def _select_facts(provenance: Mapping[str, str]) -> dict[str, str]:
-    """Select the provenance facts that fit into a description, by priority."""
+    """Select the provenance facts that fit into a description of at most 255 bytes, by priority."""
     selected: dict[str, str] = {}
     ordered = [
         *(name for name in _PRIORITY_FACTS if name in provenance),
@@ -315,7 +319,7 @@ TRANSIENT_S = 0.022
 
 @dataclass(frozen=True)
 class TickGrid:
-    """Rendering grid: `count` samples at `rate` per second, with `timescale` ticks per second."""
+    """Time grid of rendering: `count` samples at `rate` per second; the file has `timescale` ticks per second."""
 
     count: int
     rate: int
@@ -324,7 +328,7 @@ class TickGrid:
 
 @dataclass(frozen=True)
 class EffectKeyframes:
-    """Keyframes of an effect.
+    """Keyframes of one effect in a .hjif band.
 
     Attributes
     ----------
@@ -362,12 +366,15 @@ class EffectKeyframes:
 
     @property
     def end(self) -> float:
-        """End [ticks]."""
+        """End of the effect [ticks]."""
         return self.start + (float(self.position[-1]) if len(self.position) else 0.0) + self.tail
 
 
 def render_curve(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """Return the first sample and the values of a curve: linear, or cubic with zero slope at each keyframe."""
+    """Return the first sample's index and the values of a Curve effect.
+
+    It is linear, or cubic with zero slope at each keyframe.
+    """
     known = np.isfinite(effect.amplitude)
     position, value = effect.position[known], effect.amplitude[known]
     first, at = _sample_ticks(effect, ticks)
@@ -384,7 +391,7 @@ def render_curve(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
 
 
 def render_wave(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """Return the first sample and the values of a wave with linear amplitude and frequency between keyframes."""
+    """Return the first sample's index and the values of a wave, linear in amplitude and frequency between keyframes."""
     first, at = _sample_ticks(effect, ticks)
     if len(effect.position) == 0:
         return first, np.zeros(0)
@@ -400,7 +407,7 @@ def render_wave(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
 
 
 def render_transient(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """Return the first sample and the values of clicks: two periods of a sine at each keyframe."""
+    """Return the first sample's index and the values of clicks: two periods of a sine at each keyframe."""
     first, at = _sample_ticks(effect, ticks)
     values = np.zeros(len(at))
     for position, amplitude in zip(effect.position, effect.amplitude, strict=True):
@@ -418,7 +425,10 @@ BAND_RENDERERS: dict[str, Callable[[EffectKeyframes, TickGrid], tuple[int, Float
 
 
 def _sample_ticks(effect: EffectKeyframes, ticks: TickGrid) -> tuple[int, Float]:
-    """Return the first sample of an effect within the grid, and the ticks after its start of all its samples."""
+    """Return the index of an effect's first sample within the time grid, and the times of all its samples.
+
+    The times are in ticks after the start of the effect.
+    """
     # In integers: a tick of a float grid may come out just below the keyframe that it coincides with.
     first = max(0, -((-effect.start * ticks.rate) // ticks.timescale))
     stop = min(ticks.count, int(effect.end * ticks.rate // ticks.timescale) + 1)
@@ -461,7 +471,7 @@ _REFERENCE_REMEDY = "Render it with MPEG's reference software, and import the WA
 
 @dataclass(frozen=True)
 class _StatedScale:
-    """Full scale [m/s²], whether the file states it, and the seed (from the options if the file states none)."""
+    """Full scale [m/s²], whether the file itself states it, and the seed (of the import options if it has none)."""
 
     full_scale: float
     is_stated: bool
@@ -512,7 +522,10 @@ def read_hjif(path: Path, options: ImportOptions) -> Signal:
 def _iter_effects(
     reading: JsonReader, channel: dict[str, Any], library: dict[int, dict[str, Any]], timescale: int
 ) -> Iterator[tuple[str, EffectKeyframes]]:
-    """Yield (band type, effect) for everything in a channel."""
+    """Yield (band type, effect) for all effects in a channel.
+
+    `library` has the effects that bands refer to by id, `timescale` is the ticks per second.
+    """
     for row in reading.get_array(channel, "bands"):
         band = _require_object(reading, row)
         kind = band.get("band_type")
@@ -565,7 +578,7 @@ def _read_effect(reading: JsonReader, row: dict[str, Any], library: dict[int, di
 
 
 def _read_values(reading: JsonReader, keyframes: list[dict[str, Any]], name: str, largest: float) -> Float:
-    """Return a value per keyframe, NaN for those without one."""
+    """Return the number `name` of every keyframe (k,), NaN for those without one; `largest` bounds its magnitude."""
     return np.array(
         [
             reading.get_number(keyframe, name, -largest, largest) if name in keyframe else np.nan
@@ -587,9 +600,9 @@ def _read_integer(reading: JsonReader, owner: Any, name: str, low: int, high: in
 
 
 def _read_scale(text: object, options: ImportOptions) -> _StatedScale:
-    """Return the scale that the file's description states, else that of `options`.
+    """Return the full scale and seed that a .hjif file's description states, else those of `options`.
 
-    A description of another program states none.
+    A description by another program states none.
     """
     try:
         record = json.loads(text) if isinstance(text, str) else {}
@@ -602,7 +615,7 @@ def _read_scale(text: object, options: ImportOptions) -> _StatedScale:
 
 
 def _make_provenance(path: Path, perception: dict[str, Any], scale: _StatedScale) -> dict[str, str]:
-    """Return the provenance in the file, or else what was assumed."""
+    """Return the provenance that a .hjif file states, or else what was assumed."""
     if not scale.is_stated:
         scale_text = f"1 = {scale.full_scale:g} m/s² (the file states none)"
         return {"source": path.name, "scale": scale_text, "modality": str(perception.get("perception_modality"))}

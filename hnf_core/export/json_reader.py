@@ -16,7 +16,7 @@ REEXPORT_REMEDY = "Export or download it again."
 
 
 def read_limited_bytes(path: Path, max_bytes: int) -> bytes:
-    """Return the file's bytes. Raises FileError if it cannot be read or exceeds `max_bytes`."""
+    """Return a file's bytes. Raises FileError if it cannot be read or exceeds `max_bytes`."""
     try:
         size = path.stat().st_size
         if size > max_bytes:
@@ -36,7 +36,7 @@ def read_limited_bytes(path: Path, max_bytes: int) -> bytes:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the one JSON object of a file.
+    """Return the one JSON object that a file contains.
 
     Raises FileError if the file exceeds `MAX_JSON_BYTES`, is not UTF-8 or not JSON (NaN and Infinity are not), is
     nested too deeply for Python, or holds no object.
@@ -55,9 +55,10 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_json(path: Path, record: dict[str, Any], *, indent: int | None = 1) -> None:
-    """Write an object atomically; equal objects give equal bytes. With `indent` None it is one line without blanks.
+    """Write an object as JSON, atomically; equal objects give equal bytes.
 
-    Raises FileError if the text would be too large to be read again or cannot be written.
+    With `indent` None it is one line without blanks. Raises FileError if the text would be too large to be read again
+    or cannot be written.
     """
     separators = (",", ":") if indent is None else None
     text = json.dumps(record, indent=indent, separators=separators, ensure_ascii=False, allow_nan=False)
@@ -69,7 +70,7 @@ def write_json(path: Path, record: dict[str, Any], *, indent: int | None = 1) ->
 
 
 class JsonReader:
-    """Typed access to the values of one file; the first invalid one raises FileError."""
+    """Typed access to the values of one JSON file; the first invalid one raises FileError."""
 
     def __init__(self, path: Path) -> None:
         self._where = str(path)
@@ -78,21 +79,21 @@ class JsonReader:
         return FileError(f"{why}.", where=self._where, remedy=REEXPORT_REMEDY)
 
     def get_object(self, owner: dict[str, Any], name: str) -> dict[str, Any]:
-        """Return the object `name` of `owner`."""
+        """Return the value of key `name` of `owner`, which must be an object."""
         value = owner.get(name)
         if not isinstance(value, dict):
             raise self.make_error(f"'{name}' is missing" if value is None else f"'{name}' is no object")
         return value
 
     def get_array(self, owner: dict[str, Any], name: str) -> list[Any]:
-        """Return the array `name` of `owner`."""
+        """Return the value of key `name` of `owner`, which must be an array."""
         value = owner.get(name)
         if not isinstance(value, list):
             raise self.make_error(f"'{name}' is missing" if value is None else f"'{name}' is no array")
         return value
 
     def get_number(self, owner: Any, name: str, low: float, high: float) -> float:
-        """Return the number `name` of `owner`, which must lie in low … high."""
+        """Return the value of key `name` of `owner`, which must be a number within low … high."""
         if not isinstance(owner, dict):
             raise self.make_error(f"where '{name}' should stand is no object")
         value = owner.get(name)

@@ -29,7 +29,7 @@ class ExportOptions:
     ----------
     full_scale_m_s2 : float
         Acceleration [m/s²] that 1.0, or the largest integer, of a format stands for. Larger values are clipped and
-        counted; nothing is normalised.
+        counted; nothing is normalized.
     range_hz : (float, float)
         Frequencies [Hz] that 0 and 1 stand for.
     error : float

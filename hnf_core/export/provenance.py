@@ -1,7 +1,7 @@
 """Store the provenance and scale of a signal: as one line of text in a format's free field, and in a sidecar file.
 
-The sidecar FILE.json of an exported FILE states what its numbers stand for, where the signal comes from, and the hash
-of the bytes that it describes.
+Provenance are text facts such as stroke, material and seed. The sidecar FILE.json of an exported FILE states what its
+numbers stand for, where the signal comes from, and the hash of the bytes that it describes.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ def make_provenance_record(signal: Signal, options: ExportOptions | None) -> dic
 
 
 def encode_provenance(signal: Signal, options: ExportOptions | None) -> str:
-    """Return `make_provenance_record` as one line of JSON."""
+    """Return units, scale, seed, rate and provenance of a signal as one line of JSON (see `make_provenance_record`)."""
     return json.dumps(make_provenance_record(signal, options), ensure_ascii=False)
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Scale and provenance of a file.
+    """Scale and origin of a signal, as the file states them or as options assume.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Provenance:
 
 
 def parse_provenance(text: object, options: ImportOptions) -> Provenance:
-    """Return what `text` states, else what `options` or the defaults give.
+    """Return the scale and provenance that a format's free `text` states, else those of `options` or the defaults.
 
     A text of another program, or a damaged one, states nothing.
     """
@@ -141,7 +141,7 @@ SIDECAR_SCHEMA = 1
 
 
 def get_sidecar_path(path: Path) -> Path:
-    """Return the path of the sidecar of a file."""
+    """Return the path of the sidecar of an exported file: its name with ".json" appended."""
     return path.with_name(path.name + ".json")
 
 
@@ -202,7 +202,7 @@ def write_sidecar(
 
 
 def read_sidecar_provenance(path: Path) -> tuple[int, dict[str, str]] | None:
-    """Return seed and provenance from the sidecar; None if there is none, or it describes other bytes."""
+    """Return seed and provenance from an exported file's sidecar; None without one, or if it describes other bytes."""
     try:
         record = _read_matching_sidecar(path)
         return int(record["seed"]), {str(name): str(value) for name, value in record["provenance"].items()}
@@ -211,7 +211,7 @@ def read_sidecar_provenance(path: Path) -> tuple[int, dict[str, str]] | None:
 
 
 def read_sidecar_loss(path: Path) -> dict[str, Any] | None:
-    """Return the loss of the export of `path`, as `ConversionLoss.to_json` wrote it into the sidecar.
+    """Return what the export to `path` lost, as `ConversionLoss.to_json` wrote it into the sidecar.
 
     Returns None if there is no sidecar, or it is damaged or describes other bytes.
     """
@@ -225,9 +225,9 @@ def read_sidecar_loss(path: Path) -> dict[str, Any] | None:
 
 
 def _read_matching_sidecar(path: Path) -> dict[str, Any]:
-    """Return the sidecar of `path` if it describes its bytes.
+    """Return the sidecar of `path` if the hash in it is that of the file's bytes.
 
-    Raises ValueError if it describes other bytes, FileError if there is none, and KeyError or OSError.
+    Raises ValueError if it is not, FileError if there is no sidecar, and KeyError or OSError.
     """
     record = read_json(get_sidecar_path(path))
     if record["hash"] != content_hash(path.read_bytes()):

@@ -24,7 +24,7 @@ class StrokePath:
     time : (n,) float64
         Times [s], increasing from 0.
     distance : (n,) float64
-        Distance travelled over the surface [m], non-decreasing from 0.
+        Distance traveled over the surface [m], non-decreasing from 0.
     triangle : (n,) int32
         Triangle under the hand; `UNTOUCHED` while it is off the surface or does not press.
     """
@@ -47,7 +47,7 @@ class StrokePath:
 
 @dataclass(frozen=True)
 class TouchedSurface:
-    """An object with its baked touch.
+    """An object with its baked touch: a material token per triangle, and optionally a stroke's path over it.
 
     Attributes
     ----------

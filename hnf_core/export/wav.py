@@ -1,4 +1,4 @@
-"""Write and read WAV files in m/s² (float32, never normalised), 16-bit copies for actuators, and copies to listen to.
+"""Write and read WAV files in m/s² (float32, never normalized), 16-bit copies for actuators, and copies to listen to.
 
 Layout (Microsoft/IBM "Multimedia Programming Interface and Data Specifications 1.0", 1991, and the 1994 revision that
 adds the fact chunk to every non-PCM format): fmt (WAVE_FORMAT_IEEE_FLOAT), fact, LIST/INFO, data. INFO holds ISFT (the
@@ -102,13 +102,13 @@ def write_wav_stream(path: Path, template: Signal, sample_count: int, blocks: It
 
 
 def encode_wav(signal: Signal, *, where: str = "WAV") -> bytes:
-    """Return the bytes that `write_wav` writes. Equal signals give equal bytes."""
+    """Return the bytes that `write_wav` writes: a mono float32 WAV in m/s². Equal signals give equal bytes."""
     samples = get_finite_samples(signal, where)
     return _encode_header(signal, len(samples), where) + samples.tobytes()
 
 
 def _encode_header(signal: Signal, count: int, where: str) -> bytes:
-    """Return the part of the file before its `count` samples."""
+    """Return the bytes of a WAV file before its `count` samples."""
     rate, size = signal.sample_rate, 4 * count
     if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= _MAX_UINT32 // 4):
         raise FileError(
@@ -255,7 +255,7 @@ def _iter_chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _decode_samples(format_chunk: bytes, data_chunk: bytes, path: Path) -> tuple[int, NDArray[np.float32]]:
-    """Return the sample rate and the samples, (channels, n)."""
+    """Return the sample rate and the samples (channels, n) of a WAV's fmt and data chunks."""
     encoding, channels, rate, _, block, bits = struct.unpack_from("<HHIIHH", format_chunk)
     if encoding == _EXTENSIBLE and len(format_chunk) >= 26:
         encoding = struct.unpack_from("<H", format_chunk, 24)[0]
@@ -325,13 +325,13 @@ _MAX_COPY_BYTES = 2**32 - 2**16
 
 
 def write_native_wav(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write float32 in m/s² at the signal's own rate, without loss."""
+    """Write a signal as float32 WAV in m/s² at its own rate, without loss."""
     write_wav(path, signal)
     return ()
 
 
 def make_copy_writer(rate_hz: int) -> Callable[[Path, Signal, ExportOptions], tuple[str, ...]]:
-    """Return a writer of 16-bit copies at `rate_hz`."""
+    """Return a writer (see `formats.py`) of 16-bit copies for actuators at `rate_hz`."""
 
     def write(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
         return write_pcm16_wav(path, signal, float(rate_hz), options)
@@ -366,7 +366,7 @@ def write_pcm16_wav(path: Path, signal: Signal, rate_hz: float, options: ExportO
 
 
 def read_wav_with_units(path: Path) -> Signal:
-    """Read a WAV that states its unit. Raises FileError for one that does not, and as `read_wav` does."""
+    """Read a WAV that states its unit. Raises FileError for one that does not, and for a damaged one."""
     signal = read_wav(path)
     if signal.provenance.get("units") == UNSTATED_UNITS:
         raise FileError(
@@ -380,7 +380,7 @@ def read_wav_with_units(path: Path) -> Signal:
 def read_wav_scaled(path: Path, options: ImportOptions) -> Signal:
     """Read a WAV of this project unchanged, any other multiplied by options.full_scale_m_s2.
 
-    Raises FileError for a file without a unit if `options` has no full scale, and as `read_wav` does.
+    Raises FileError for a file without a unit if `options` has no full scale, and if the file is damaged.
     """
     signal = read_wav(path)
     if signal.provenance.get("units") != UNSTATED_UNITS:
@@ -419,9 +419,9 @@ def fit_full_scale(signal: Signal, options: ExportOptions) -> ExportOptions:
 
 
 def write_listening_copy(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write a copy to listen to, 48 kHz and 16 bit; return sentences on what was lost.
+    """Write a copy to listen to, scaled to just below clipping, 48 kHz and 16 bit; return sentences on what was lost.
 
-    Raises FileError as `write_pcm16_wav` does.
+    Raises FileError if a sample is not finite or the file cannot be written.
     """
     fitted = fit_full_scale(signal, options)
     gain = (

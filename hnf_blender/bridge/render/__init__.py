@@ -1,4 +1,4 @@
-"""Cycles renders in temporary scenes: close-ups of patches, and lit views of the scene.
+"""Cycles renders in temporary scenes: close-ups of patches (squares of a surface), and lit views of the scene.
 
 Read `closeup.py` first.
 """

@@ -1,8 +1,8 @@
-"""Close-ups: a patch rendered by an orthographic camera, with the height and the appearance that its shader defines.
+"""Close-ups: a square of surface (patch) in orthographic view, with the height and appearance that its shader defines.
 
-Cycles takes one sample at each pixel's centre, of the touched object alone, and every quantity is an AOV pass. A first
+Cycles takes one sample at each pixel's center, of the touched object alone, and every quantity is an AOV pass. A first
 pass with few pixels measures the texels of the images behind the shader, which determine the resolution of the second.
-Only pixels connected to the patch's centre without a step in depth count as its surface.
+Only pixels connected to the patch's center without a step in depth count as its surface.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ PIXELS_PER_TRIANGLE = 16
 
 
 def get_relief_sources(slot: SlotReading) -> tuple[Relief | Slopes, ...]:
-    """Return all reliefs and slopes that shape a slot's surface."""
+    """Return what shapes a material slot's surface: reliefs (bump, displacement) and slopes (normal maps)."""
     micros = [closure.micro for closure in list_closures(slot.reading.layers)] + [slot.reading.displacement]
     return tuple(chain.from_iterable((*micro.reliefs, *micro.slopes) for micro in micros))
 
 
 def is_image_based(slot: SlotReading) -> bool:
-    """Return True if all detail of a slot is in images, whose texels a first pass can measure.
+    """Return True if all detail of a material slot is in images, whose texels a first render can measure.
 
-    Factors that mix reliefs must be constant, as their own detail is not measured.
+    If shaders are mixed, the mix factors must be constant, as their own detail is not measured.
     """
     if slot.colour is not None:
         return bool(slot.colour.images) and not (slot.colour.procedural or slot.colour.painted)
@@ -73,14 +73,15 @@ def choose_resolution(
 ) -> int:
     """Return the image side [pixels] beyond which a slot's images show nothing more, at most `max_pixels`.
 
-    It is `max_pixels` if the texels are unknown, and for colours fine enough to predict a relief from.
+    It is `max_pixels` if the size of the texels is unknown, or if the slot has no relief and its color image is fine
+    enough for a relief to be predicted from it.
 
     Parameters
     ----------
     slot : SlotReading
         The patch's material slot.
     passes : Passes
-        Passes of the first pass.
+        AOV passes (H, W) of the first, coarse render.
     mask : (H, W) bool array
         The patch's own surface.
     triangle : (H, W) int array
@@ -110,11 +111,14 @@ def choose_resolution(
 
 
 MAX_SURFACE_SLOPE = 4.0
-"""Slope between neighbouring pixels above which they belong to two surfaces (76°)."""
+"""Depth step per pixel size between neighboring pixels above which they belong to two surfaces (76°)."""
 
 
 def find_connected_pixels(candidates: Mask, depth: NDArray[np.floating[Any]], pixel_m: float) -> Mask:
-    """Return the candidates (H, W) connected to the centre without a step in planar depth (H, W) [m]."""
+    """Return the `candidates` (H, W) connected to the image's center without a step in planar depth (H, W) [m].
+
+    A step is a slope above MAX_SURFACE_SLOPE between neighboring pixels of size `pixel_m` [m].
+    """
     depth = np.where(candidates, depth, 0.0)
     limit = MAX_SURFACE_SLOPE * pixel_m
     right = candidates[:, 1:] & candidates[:, :-1] & (np.abs(np.diff(depth, axis=1)) <= limit)
@@ -128,7 +132,10 @@ def find_connected_pixels(candidates: Mask, depth: NDArray[np.floating[Any]], pi
 
 
 def flood_fill(seed: Mask, right: Mask, down: Mask) -> Mask:
-    """Return all pixels connected to `seed` (H, W); `right` (H, W−1) and `down` (H−1, W) join neighbours."""
+    """Return all pixels connected to `seed` (H, W).
+
+    `right` (H, W−1) and `down` (H−1, W) tell whether a pixel is connected to the next in its row or column.
+    """
     reached = seed.copy()
     while True:
         before = int(reached.sum())
@@ -149,19 +156,20 @@ Float = NDArray[np.float64]
 MIN_RELIEF_M = 1e-9
 """Peak-to-peak height below which a shader has no micro-geometry [m]."""
 APPEARANCE_PIXELS = 128
-"""Side of a close-up [pixels] if the shader has no relief and one colour, so that only mean shading values and covered
+"""Side of a close-up [pixels] if the shader has no relief and one color, so that only mean shading values and covered
 faces are needed."""
 SELF_OCCLUSION_OFFSET_M = 1e-4
-"""Offset of a ray above a patch's centre, so that it does not hit the patch itself [m]."""
+"""Offset of a ray above a patch's center, so that it does not hit the patch itself [m]."""
 
 
 @dataclass(frozen=True)
 class CloseUp:
-    """A patch as its shader describes it.
+    """A rendered patch, a square of a surface, with the height and the appearance that its shader defines.
 
     Attributes
     ----------
     patch : Patch
+        Center, tangents, size and material slot.
     view : RgbdView
         Albedo, planar depth, evaluated polygon ids, and shading normals in the surface frame.
     height : (H, W) float32 array or None
@@ -180,9 +188,9 @@ class CloseUp:
     faces : int32 array
         Evaluated polygons under `mask`.
     rays, renders : int
-        Number of rays and renders used.
+        Number of rays cast and renders made for it, the first pass included.
     unlit : UnlitImage or None
-        Unlit image, if the shader has no micro-geometry and its colour varies.
+        Unlit image, if the shader has no micro-geometry and its color varies.
     """
 
     patch: Patch
@@ -205,7 +213,7 @@ class CloseUp:
 
 
 class CloseUpRenderer:
-    """Renderer of close-ups of one object's patches in one temporary scene; a context manager.
+    """Context manager that renders close-ups of patches (squares of surface) of one object in one temporary scene.
 
     The scene is made for the first patch and removed on exit; the user's file is left unchanged, also after errors.
 
@@ -218,7 +226,7 @@ class CloseUpRenderer:
     surface, caster : Surface and RayCaster, optional
         Surface of `obj` at `frame` and its ray caster, if known.
     pixels : int, default 512
-        Maximum side of an image [pixels]; APPEARANCE_PIXELS if neither relief nor colour varies.
+        Maximum side of an image [pixels]; APPEARANCE_PIXELS is used if neither relief nor color varies.
     metres_per_unit : float, default 1.0
         Length of a Blender unit in the user's scene [m].
     frame : float, optional
@@ -226,7 +234,8 @@ class CloseUpRenderer:
     view_layer : bpy.types.ViewLayer, optional
         View layer of the scene in which `obj` is touched; by default that of the first scene it is in.
     first_pass_pixels : int, optional
-        Side of a first pass if all detail is in images; a second follows only if they show more. None skips it.
+        Side [pixels] of a first render if all the shader's detail is in images; a second follows only if they have
+        finer texels. None skips it.
     wait_for_threads : callable, optional
         Waits for the caller's threads; called before every use of Blender, whose operators let other threads run
         Python, which crashes it.
@@ -320,7 +329,7 @@ class CloseUpRenderer:
 
 @dataclass(frozen=True)
 class _CloseUpScene:
-    """Temporary scene with the isolated object, the part of its surface in reach, and a reading of each slot."""
+    """Temporary scene with a copy of the object, the part of its surface near the patches, and each slot's shader."""
 
     temporary: TemporaryScene
     isolated: IsolatedObject
@@ -331,13 +340,13 @@ class _CloseUpScene:
 
 
 def crop_to_patches(surface: Surface, patches: Sequence[Patch]) -> Surface:
-    """Return the part of a surface that the patches' cameras can see, so that the BVH is built of it alone."""
+    """Return the part of a surface that the patches' cameras can see, so that only it enters the ray caster's BVH."""
     mesh = crop_mesh(surface.mesh, [patch.centre for patch in patches], max(patch.reach_m for patch in patches))
     return replace(surface, mesh=mesh) if len(mesh.triangles) else surface
 
 
 def _has_detail(slot: SlotReading) -> bool:
-    """Return True if a slot has a relief or a varying colour."""
+    """Return True if a material slot has a relief (bump, displacement, normal map) or a varying color."""
     return slot.colour is not None or bool(get_relief_sources(slot))
 
 
@@ -369,7 +378,10 @@ class _MaskedPatch:
 
 
 def make_unoccluded_camera(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, int]:
-    """Return the patch's camera, clipped below anything above the patch's centre, and the number of rays."""
+    """Return the patch's camera and the number of rays cast.
+
+    If something is above the patch's center, the near clipping plane is between it and the patch.
+    """
     camera = patch.camera(pixels)
     lift = SELF_OCCLUSION_OFFSET_M
     above = float(caster.cast((patch.centre + lift * patch.normal)[None], patch.normal[None]).distance[0]) + lift
@@ -426,7 +438,7 @@ def _build_unlit_image(
 
 
 def _mask_patch_surface(rendered: _RenderedPatch, surface: Surface) -> Mask:
-    """Return the pixels of the patch's slot connected to its centre without a step in depth."""
+    """Return the pixels (H, W) of the patch's material slot connected to its center without a step in depth."""
     slot = np.where(rendered.cast.triangle >= 0, surface.mesh.slot[rendered.cast.triangle], -1)
     return find_connected_pixels(slot == rendered.patch.slot, rendered.cast.depth, rendered.pixel_m)
 
@@ -434,7 +446,10 @@ def _mask_patch_surface(rendered: _RenderedPatch, surface: Surface) -> Mask:
 def _compute_height(
     rendered: _RenderedPatch, mask: Mask, notes: list[str]
 ) -> tuple[NDArray[np.float32] | None, str, float]:
-    """Return height [m] (mean 0 under mask), its source, and its resolved wavelength [m]."""
+    """Return the height (H, W) [m], its source for the report, and its shortest resolved wavelength [m].
+
+    The mean is 0 under `mask`. Without relief the height is None and the wavelength inf.
+    """
     layers, displacement = rendered.slot.reading.layers, rendered.slot.reading.displacement
     nothing = (None, "", float("inf"))
     if not mask.any() or not rendered.passes:
@@ -475,10 +490,10 @@ def _describe_source(rendered: _RenderedPatch, source: Relief | Slopes) -> str:
 
 
 def _get_height_scale(rendered: _RenderedPatch, relief: Relief) -> float:
-    """Return metres per unit of a relief's height, along the patch's normal."""
+    """Return the length along the patch's normal of one unit of a relief's height [m]."""
     if not relief.in_object_space:
         return rendered.metres_per_unit
-    # A step along the object's own normal, as long as the object's scale makes it.
+    # A unit step along the normal in object space, as long as the object's scale makes it.
     object_normal = rendered.isolated.stretch.T @ rendered.patch.normal
     step = rendered.isolated.stretch @ (object_normal / np.linalg.norm(object_normal))
     return float(step @ rendered.patch.normal)
@@ -502,7 +517,7 @@ def _sum_reliefs(rendered: _RenderedPatch, reliefs: Sequence[Relief]) -> Float:
 
 
 def _integrate_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, notes: list[str]) -> Float:
-    """Return the height whose slopes against the smooth surface are those of the normal maps [m]."""
+    """Return the height (H, W) [m] whose slopes relative to the smooth surface are those of the normal maps."""
 
     def compute_slope(axis: int) -> Float | None:
         return mix_closures(layers, rendered.passes, lambda closure: _compute_slope(rendered, closure.micro, axis))
@@ -522,7 +537,10 @@ def _integrate_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, not
 
 
 def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int) -> Float:
-    """Return ∂h/∂x (axis 0) or ∂h/∂y (axis 1) of a closure in the patch's frame; 0 without a normal map."""
+    """Return the slope ∂h/∂x (axis 0) or ∂h/∂y (axis 1) of a closure (BSDF) in the patch's frame, (H, W).
+
+    It is 0 without a normal map.
+    """
     total = np.zeros((rendered.camera.height, rendered.camera.width))
     smooth = rendered.cast.normal
     frame = rendered.patch.x_axis - smooth * (smooth @ rendered.patch.x_axis)[..., None]
@@ -538,9 +556,10 @@ def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int) ->
 
 
 def has_flipped_green(gx: Float, gy: Float, mask: Mask) -> bool:
-    """Return True if slopes fit a surface far better with the second component negated (y is −row).
+    """Return True if slopes `gx`, `gy` (H, W) fit a surface far better with `gy` negated.
 
-    A height field has no curl: ∂(∂h/∂x)/∂y = ∂(∂h/∂y)/∂x.
+    This detects normal maps of the DirectX convention. A height field has no curl, ∂(∂h/∂x)/∂y = ∂(∂h/∂y)/∂x, so the
+    sign with less curl under `mask` is the right one; y points against the rows.
     """
     inner = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
     along_y = -(gx[2:, 1:-1] - gx[:-2, 1:-1])[inner]

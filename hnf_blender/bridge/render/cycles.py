@@ -28,7 +28,7 @@ NO_HIT_DEPTH = 1e9
 def configure_cycles(scene: Any, samples: int) -> None:
     """Set up Cycles on the CPU with a multilayer EXR, without compositor, sequencer and denoising.
 
-    One sample per pixel is exact for unlit AOVs. Raises SceneError if Cycles is disabled.
+    `samples` is per pixel; one is exact for unlit AOVs. Raises SceneError if Cycles is disabled.
     """
     try:
         scene.render.engine = "CYCLES"
@@ -51,14 +51,14 @@ def configure_cycles(scene: Any, samples: int) -> None:
 
 
 def disable_lighting(scene: Any) -> None:
-    """Stop every path at the first surface, so that one sample per pixel centre is enough."""
+    """Stop every path at the first surface, so that one sample per pixel center is enough."""
     cycles = scene.cycles
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = cycles.transmission_bounces = 0
     cycles.transparent_max_bounces = 0
 
 
 def add_aovs(view_layer: Any, taps: Iterable[Tap]) -> None:
-    """Add an AOV pass to a view layer for every tap."""
+    """Add an AOV pass to a view layer for every tap (a shader value that an AOV Output node writes)."""
     for tap in taps:
         aov = view_layer.aovs.add()
         aov.name, aov.type = tap.name, tap.kind
@@ -119,7 +119,7 @@ def set_camera(scene: Any, camera_object: Any, camera: Camera, rigid: ArrayLike,
 
 
 def render_passes(temporary: TemporaryScene) -> dict[str, NDArray[np.float32]]:
-    """Render the temporary scene and read all passes. Raises SceneError if Blender fails."""
+    """Render the temporary scene and return all passes by name. Raises SceneError if Blender fails."""
     import bpy
 
     path = temporary.folder / "passes.exr"
@@ -136,7 +136,7 @@ def render_passes(temporary: TemporaryScene) -> dict[str, NDArray[np.float32]]:
 
 
 def get_planar_depth(passes: dict[str, NDArray[np.float32]], metres_per_unit: float) -> NDArray[np.float32]:
-    """Return the depth pass (H, W) [m], inf where nothing is hit."""
+    """Return the planar depth (H, W) [m] from the rendered passes, inf where nothing is hit."""
     depth = passes["Depth"]
     return np.where(depth < NO_HIT_DEPTH, depth * np.float32(metres_per_unit), np.inf).astype(np.float32)
 
@@ -216,7 +216,7 @@ def make_overview_camera(
     outward : (3,) array_like
         Direction towards the viewer, e.g. the surface's normal.
     radius_m : float
-        Minimum radius around the points' centre that is in the image [m].
+        Minimum radius around the points' center that is in the image [m].
     width, height : int
         Image size [pixels].
 

@@ -1,6 +1,6 @@
-"""Put the touched object alone into a temporary scene, with copies of its materials whose values are tapped.
+"""Put the touched object alone into a temporary scene, with material copies that output shader values as AOV passes.
 
-The object stands at the origin, in metres, so that its place in the world cannot change the render; it keeps its true
+The object stands at the origin, in meters, so that its place in the world cannot change the render; it keeps its true
 place only if its shaders depend on it.
 """
 
@@ -32,7 +32,7 @@ RANDOM_NOTE = "Object Info's Random cannot be repeated in a close-up: its patter
 
 @dataclass(frozen=True)
 class IsolatedObject:
-    """The touched object in a temporary scene.
+    """The touched object, alone in a temporary scene.
 
     Attributes
     ----------
@@ -40,11 +40,11 @@ class IsolatedObject:
     original, stand_in : bpy.types.Object
         The user's object, and its copy that is rendered.
     rigid : (4, 4) array
-        Temporary scene's world [m] ← surface frame.
+        Temporary scene's world [m] ← surface frame (the object's own frame with its scale applied, in meters).
     metres_per_unit : float
         Unit of the temporary scene [m].
     stretch : (3, 3) array
-        Surface frame ← object space.
+        Surface frame [m] ← object space: scale, shear and unit.
     notes : tuple of str
         Remarks for the user.
     surface : Surface
@@ -69,9 +69,9 @@ def isolate_object(
     surface: Surface | None = None,
     view_layer: Any = None,
 ) -> IsolatedObject:
-    """Copy an object into a temporary scene, without rotation and translation, in metres.
+    """Copy an object into a temporary scene, without rotation and translation, in meters.
 
-    It keeps its true place if its shaders read world coordinates.
+    If its shaders read world coordinates, it keeps its place in the world.
 
     Parameters
     ----------
@@ -150,14 +150,14 @@ def _is_deformed(obj: Any) -> bool:
 
 
 def _bake_mesh(evaluated: Any, depsgraph: Any) -> Any:
-    """Return the evaluated mesh as a new datablock."""
+    """Return an evaluated mesh, with modifiers applied, as a new datablock."""
     import bpy
 
     return bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
 
 
 def _match_viewport_modifiers(stand_in: Any) -> None:
-    """Let the render use the viewport's modifiers and levels, as rays are cast on the viewport's mesh."""
+    """Let the render use the viewport's modifiers and subdivision levels, as rays are cast on the viewport's mesh."""
     for modifier in stand_in.modifiers:
         modifier.show_render = modifier.show_viewport
         if hasattr(modifier, "render_levels"):
@@ -166,18 +166,18 @@ def _match_viewport_modifiers(stand_in: Any) -> None:
 
 @dataclass(frozen=True)
 class SlotReading:
-    """A material slot with its taps.
+    """A material slot whose shader values are rendered as AOV passes (taps).
 
     Attributes
     ----------
     material : str
         Name of the material, "" for none.
     reading : ShaderReading
-        Layers and displacement, made of taps and constants.
+        Mixed closures (BSDFs) and displacement, whose values are taps or constants.
     taps : tuple of Tap
-        Passes to render.
+        AOV passes to render.
     colour : ColourSources or None
-        Sources of its colour; None if it has a relief or a uniform colour.
+        Images, patterns and vertex colors behind its color; None if it has a relief or a uniform color.
     """
 
     material: str
@@ -187,7 +187,10 @@ class SlotReading:
 
 
 def instrument_slot(isolated: IsolatedObject, slot: int, where: str) -> SlotReading:
-    """Replace the material in a slot by an unlit copy with taps. Raises SceneError for a missing texture."""
+    """Replace the material in a slot by an unlit copy that outputs its shader values as AOVs.
+
+    `where` names the object and material in errors. Raises SceneError for a missing texture.
+    """
     slots = isolated.stand_in.material_slots
     no_material_note = (
         f"{where} has no material there: its feel is guessed from its name alone. Give it one, or say what it is "
@@ -213,9 +216,9 @@ def instrument_slot(isolated: IsolatedObject, slot: int, where: str) -> SlotRead
 
 
 def _make_unlit(copy: Any, graph: NodeGraph) -> None:
-    """Let a surface end every path, so that taps are read at the first hit, whatever its transparency.
+    """Replace the surface shader by a Holdout, so that AOVs are read at the first hit, whatever its transparency.
 
-    No lighting is computed; the result equals that of an opaque surface, a fifth faster.
+    No lighting is computed; the AOVs equal those of an opaque surface, a fifth faster.
     """
     output = graph.output
     if output is None:
@@ -230,7 +233,7 @@ def _make_unlit(copy: Any, graph: NodeGraph) -> None:
 
 
 def _prepare_textures(isolated: IsolatedObject, graph: NodeGraph) -> None:
-    """Let textures use the copy's own coordinates, and cubic interpolation."""
+    """Let textures use the coordinates of the rendered copy instead of the original object, and cubic interpolation."""
     for node in iter_nodes(graph.tree):
         if node.bl_idname == "ShaderNodeTexCoord" and node.object == isolated.original:
             node.object = None  # use the copy's own coordinates

@@ -27,7 +27,7 @@ from ..shader.shader_hash import format_settings, hash_material, hash_node_tree
 from .cycles import add_camera, configure_cycles, get_planar_depth, read_camera, render_passes, set_camera
 
 DOME_STRENGTH = 1.0
-"""Strength of the neutral dome."""
+"""Strength of the uniform white world that lights a scene without light."""
 MAX_BOUNCES = 4
 """Maximum number of bounces in lit views."""
 
@@ -35,9 +35,9 @@ MAX_BOUNCES = 4
 class OverviewRenderer:
     """Context manager that renders lit views of one scene, in a temporary scene that Cycles keeps between views.
 
-    Unchanged data is neither loaded nor built again. Other work may continue in the file meanwhile: between views the
-    temporary scene contains no object of the user's, unless `entire_scene` is set. A scene without light gets a neutral
-    dome.
+    Unchanged data is neither loaded nor built again. Other work may continue in the .blend meanwhile: between views the
+    temporary scene contains none of the user's objects, unless `entire_scene` is set. A scene without light gets a
+    uniform white world.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ class OverviewRenderer:
         Render all objects. Otherwise only those named for each view and the scene's lights, so that the cost does not
         depend on the scene.
     relief : bool, default False
-        Preserve details a few pixels wide when denoising, which takes longer than two samples; otherwise ridges of a
-        surface may be removed as noise.
+        Preserve details a few pixels wide when denoising; otherwise ridges of a surface may be removed as noise. It
+        takes longer than two more samples per pixel.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class OverviewRenderer:
 
     @contextmanager
     def _link_temporarily(self, objects: Sequence[Any], camera: Any) -> Iterator[None]:
-        """Link objects, the scene's lights and a camera to the temporary scene for this block."""
+        """Link objects, the user's lights and a camera to the temporary scene for the with block."""
         lights = [] if self._entire_scene else [obj for obj in self._scene.objects if obj.type == "LIGHT"]
         collection = self.temporary.scene.collection
         linked = dict.fromkeys([*objects, *lights, *([] if camera is None or self._entire_scene else [camera])])
@@ -145,7 +145,7 @@ class OverviewRenderer:
                     collection.objects.unlink(member)
 
     def _set_lighting(self, scene: Any) -> tuple[str, ...]:
-        """Use the scene's world, or a dome if the scene has no light; return notes."""
+        """Use the world of the user's scene, or a uniform white one if that scene has no light; return notes."""
         self.temporary.scene.world = scene.world
         # A light tree is faster with many lights; with one lamp it gives the same pixels in up to a tenth more time.
         self.temporary.scene.cycles.use_light_tree = _count_lamps(self.temporary.scene) > 1 or _has_emissive_material(
@@ -160,7 +160,7 @@ class OverviewRenderer:
         return ("the scene has no light: a neutral dome lights the picture.",)
 
     def _use_scene_camera(self, frame: float | None) -> Camera:
-        """Make the scene's camera active in the temporary scene; return it as a Camera."""
+        """Make the camera of the user's scene active in the temporary scene; return it as a Camera."""
         scene, temporary = self._scene, self.temporary
         temporary.scene.camera = scene.camera
         _copy_resolution(scene, temporary.scene)
@@ -230,9 +230,9 @@ def _get_frame(scene: Any, frame: float | None) -> float:
 
 
 def _configure_quick_render(scene: Any, relief: bool) -> None:
-    """Limit the bounces and enable Open Image Denoise, if this build has it.
+    """Limit the bounces, and enable the Open Image Denoise denoiser if this build of Blender includes it.
 
-    Without it the render would fail, or stay noisy.
+    Enabling it in a build without it would make the render fail. `relief` preserves fine details.
     """
     cycles = scene.cycles
     cycles.max_bounces = min(cycles.max_bounces, MAX_BOUNCES)
@@ -242,8 +242,8 @@ def _configure_quick_render(scene: Any, relief: bool) -> None:
     cycles.use_denoising = True
     with suppress_output():  # setting the denoiser makes Cycles search for GPUs, and print if there are none
         cycles.denoiser = "OPENIMAGEDENOISE"
-    # With so few samples albedo and normals are as noisy as the colour. They help only if they are denoised accurately
-    # first, which takes longer than the colour itself.
+    # With so few samples albedo and normals are as noisy as the color. They help only if they are denoised accurately
+    # first, which takes longer than the color itself.
     cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL" if relief else "RGB"
     cycles.denoising_prefilter = "ACCURATE" if relief else "FAST"
     if hasattr(cycles, "denoising_quality"):
@@ -272,8 +272,8 @@ class RenderHashes:
     metres_per_unit : float
         Length of a Blender unit [m].
     source : str, optional
-        Hash of the file, which represents everything that is not read: scattered instances, hair, objects without
-        faces.
+        Hash of the .blend file, which stands for everything that is not hashed by itself: scattered instances, hair,
+        objects without faces.
     """
 
     def __init__(self, scene: Any, depsgraph: Any, metres_per_unit: float, source: str = "") -> None:
@@ -283,7 +283,7 @@ class RenderHashes:
         self._materials: dict[int, str] = {}
 
     def hash_view(self, camera: Camera, objects: Iterable[Any], *extra: str) -> str:
-        """Hash a view of `objects` by a camera; `extra` are texts for whatever else is drawn."""
+        """Hash a view of `objects` by a camera; `extra` are texts that are hashed too, for whatever else is drawn."""
         if not self._lighting_hash:
             self._lighting_hash = content_hash(*_iter_lighting_values(self._scene, self._depsgraph))
         view = (

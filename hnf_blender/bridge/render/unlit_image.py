@@ -1,4 +1,4 @@
-"""Unlit image of a patch: its colour and depth, used to predict a relief where the shader has none."""
+"""Unlit image of a patch: its color and depth, used to predict a relief where the shader has none."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ MAX_READABLE_WAVELENGTH_M = 1e-3
 """Longest resolved wavelength of an image from which a relief is predicted [m]. It is softer than the widest view, but
 within the training data of D_φ: the blur of its training images (σ up to 0.6 pixels) halves a wave of 1 mm."""
 MIN_COLOUR_STD_CODES = 1.0
-"""RMS variation, in steps of 1/255, below which a colour counts as uniform: a texture's rounding."""
+"""RMS variation, in steps of 1/255, below which a color counts as uniform: a texture's rounding."""
 
 
 @dataclass(frozen=True)
 class UnlitImage:
-    """Unlit colour of a patch.
+    """Unlit color and depth of a patch (a square of surface), from which a relief can be predicted.
 
     Attributes
     ----------
     rgb : (H, W, 3) uint8 array
-        255 times the square root of linear colour, which is finer in the dark, as vision is.
+        255 times the square root of linear color, which has finer steps in the dark, as vision does.
     depth_m : (H, W) float32 array
         Planar depth from the close-up's camera [m], NaN without surface.
     resolved_wavelength_m : float
-        Shortest wavelength that the image shows [m]: two texels of its finest image, two pixels if procedural, two
-        vertices for vertex colours.
+        Shortest wavelength that the image shows [m]: two texels of its finest texture, two pixels if procedural, two
+        vertex spacings for vertex colors.
     source : str
         Description of what it is made from.
     """
@@ -48,7 +48,7 @@ class UnlitImage:
 
     @property
     def linear(self) -> NDArray[np.float32]:
-        """Linear colour (H, W, 3), 0 to 1."""
+        """Linear color (H, W, 3), 0 to 1."""
         return np.asarray((self.rgb.astype(np.float32) / np.float32(MAX_CODE)) ** 2)
 
 
@@ -68,15 +68,15 @@ def make_unlit_image(
     Parameters
     ----------
     sources : ColourSources
-        Sources of the colour.
+        Sources of the color.
     albedo : (H, W, 3) array
-        Linear colour.
+        Linear color.
     depth_m : (H, W) array
         Planar depth [m].
     mask : (H, W) bool array
         The patch's own surface.
     passes : Passes
-        Rendered passes with the taps of `sources`.
+        Rendered AOV passes with the texture coordinates of `sources`.
     pixel_m : float
         Size of a pixel [m].
     mesh : TriangleMesh
@@ -87,7 +87,7 @@ def make_unlit_image(
     Returns
     -------
     UnlitImage or None
-        None if the colour is uniform under `mask`, or its resolution is unknown.
+        None if the color is uniform under `mask`, or its resolution is unknown.
     """
     if not mask.any():
         return None
@@ -104,7 +104,10 @@ def make_unlit_image(
 
 
 def _compute_vertex_spacing(mesh: TriangleMesh, triangle: NDArray[np.int32]) -> float:
-    """Return the vertex spacing [m] of a regular mesh with the median area of the visible triangles."""
+    """Return the vertex spacing [m] of a regular mesh whose triangles have the median area of the visible ones.
+
+    `triangle` (H, W) is the triangle at each pixel, −1 for none.
+    """
     corners = mesh.vertices[mesh.triangles[np.unique(triangle)]]
     areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
     return float(np.sqrt(2.0 * np.median(areas)))

@@ -1,4 +1,4 @@
-"""Material definitions (`.hnf`) stored on Blender materials.
+"""Haptic material definitions (`.hnf` files) stored on Blender materials.
 
 The bytes of the file are kept in an ID property, so that the .blend needs no file next to it. A library material chosen
 by hand (Material.hnf_touch.library) takes precedence over the definition.
@@ -27,7 +27,7 @@ PRINCIPLED_INPUTS = {
 
 
 def set_definition(material: Any, definition: MaterialFile) -> None:
-    """Store a definition on a material, replacing an earlier choice.
+    """Store a haptic definition on a Blender material, replacing an earlier one or a library material chosen by hand.
 
     Raises SceneError if the material is linked, or is a library override, which would lose it when the file is
     reloaded.
@@ -51,9 +51,9 @@ def set_definition(material: Any, definition: MaterialFile) -> None:
 
 
 def get_definition(material: Any) -> MaterialFile | None:
-    """Return the definition stored on a material, or None.
+    """Return the haptic definition stored on a Blender material, or None.
 
-    Raises FileError, naming the material, if the definition is damaged or belongs to another encoder.
+    Raises FileError, naming the material, if the definition is damaged or was made by another encoder network.
     """
     data = material.get(DEFINITION_PROPERTY)
     if data is None:
@@ -62,7 +62,7 @@ def get_definition(material: Any) -> MaterialFile | None:
 
 
 def get_artist_choice(material: Any) -> str | MaterialFile:
-    """Return a material's library name chosen by hand, else its stored definition, else "".
+    """Return the library name that the user chose for a material, else its stored haptic definition, else "".
 
     Raises FileError, naming the material, if the definition is damaged.
     """
@@ -70,14 +70,14 @@ def get_artist_choice(material: Any) -> str | MaterialFile:
 
 
 def clear_definition(material: Any) -> None:
-    """Remove the stored definition from a material."""
+    """Remove the stored haptic definition from a Blender material."""
     for name in (DEFINITION_PROPERTY, DEFINITION_NAME_PROPERTY):
         if name in material:
             del material[name]
 
 
 def assign_definition(obj: Any, slot: int, definition: MaterialFile) -> Any:
-    """Assign a definition to a slot of an object and return the slot's Blender material.
+    """Assign a haptic definition to a slot of an object and return the slot's Blender material.
 
     An empty slot, or an object without slots, gets a new material with the definition's appearance. Raises SceneError
     if the object or its material is linked.
@@ -100,7 +100,7 @@ def assign_definition(obj: Any, slot: int, definition: MaterialFile) -> Any:
 
 
 def create_material(definition: MaterialFile) -> Any:
-    """Create a Blender material with a definition and its appearance."""
+    """Create a Blender material with a haptic definition, and with the shading values that belong to it."""
     import bpy
 
     material = bpy.data.materials.new(definition.name)
@@ -110,7 +110,7 @@ def create_material(definition: MaterialFile) -> Any:
 
 
 def set_appearance(material: Any, appearance: Appearance) -> None:
-    """Set the known shading values on a material's Principled BSDF, and its viewport colour."""
+    """Set the shading values that `appearance` knows on a material's Principled BSDF, and its viewport color."""
     compat.switch_nodes_on(material)
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
     for name, socket in PRINCIPLED_INPUTS.items():

@@ -1,6 +1,6 @@
-"""Objects → triangle meshes in the surface frame, and rays and nearest points on them.
+"""Objects → triangle meshes in the surface frame, and ray casts and nearest points on them.
 
-The surface frame is the object's own frame with its scale applied, in metres. It follows from the polar decomposition
+The surface frame is the object's own frame with its scale applied, in meters. It follows from the polar decomposition
 of the world matrix, so that moving or turning an object does not change its mesh.
 """
 
@@ -23,14 +23,14 @@ Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 
 SOURCE_FACE = "hnf_source_face"
-"""Attribute of a temporary copy that carries face indices through its modifiers."""
+"""Face attribute of a temporary copy, whose modifiers carry the original face indices to the faces that they make."""
 MIN_SIZE_M, MAX_SIZE_M = 1e-5, 1e6
 """Sizes of a surface outside this range mean that the unit must be wrong [m]."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Surface of an object, as rays and strokes use it.
+    """Evaluated surface of an object in the surface frame: the object's own frame with its scale applied, in meters.
 
     Attributes
     ----------
@@ -61,6 +61,8 @@ class Surface:
 
 def compute_surface_frame(matrix_world: ArrayLike, metres_per_unit: float, where: str = "") -> tuple[Float, Float]:
     """Decompose a world matrix into (rigid, stretch): world [m] = rigid · stretch · object coordinates.
+
+    The surface frame, in which shapes are stored, lies between the two.
 
     Parameters
     ----------
@@ -161,7 +163,7 @@ def flush_edits(obj: Any) -> None:
 
 
 def get_materials(evaluated: Any, mesh: Any) -> list[Any]:
-    """Return the user's materials (None for an empty slot) by material index of an evaluated object's mesh.
+    """Return the user's materials by material index of an evaluated object's mesh; None for an empty slot.
 
     Materials set by Geometry Nodes are included.
     """
@@ -174,7 +176,7 @@ def get_materials(evaluated: Any, mesh: Any) -> list[Any]:
 
 
 def get_slot_materials(obj: Any, depsgraph: Any) -> list[Any]:
-    """Return the user's materials (None for an empty slot) by material index of an object's evaluated surface.
+    """Return the user's materials by material index of an object's evaluated surface; None for an empty slot.
 
     Raises SceneError if it has no surface.
     """
@@ -185,7 +187,7 @@ def get_slot_materials(obj: Any, depsgraph: Any) -> list[Any]:
 
 @contextmanager
 def evaluated_mesh(evaluated: Any, depsgraph: Any) -> Iterator[Any]:
-    """Yield the mesh of an evaluated object in object space; it is freed at the end.
+    """Yield the mesh of an evaluated object in object space; it is freed when the with block ends.
 
     Raises SceneError if the object has no mesh or no faces.
     """
@@ -222,7 +224,7 @@ def hash_mesh(obj: Any, depsgraph: Any, metres_per_unit: float, layers: Iterable
     metres_per_unit : float
         Length of a Blender unit [m].
     layers : iterable of str, optional
-        Names of attributes, UV maps and colours that count too; "" is the colour that is rendered.
+        Names of attributes, UV maps and colors that count too; "" is the color that is rendered.
 
     Returns
     -------
@@ -302,7 +304,7 @@ class BlenderGeometry:
 def make_ray_caster(mesh: TriangleMesh, fallback: BlenderGeometry | None = None) -> RayCaster:
     """Make an Embree ray caster, or one of Blender's BVH if Embree is not installed (Linux on ARM).
 
-    Both give equal results; Blender's is ten times slower.
+    Both give equal results; Blender's is ten times slower. `fallback` is used instead of building a new BVH.
     """
     try:
         return make_embree_caster(mesh)
@@ -311,7 +313,10 @@ def make_ray_caster(mesh: TriangleMesh, fallback: BlenderGeometry | None = None)
 
 
 def _read_triangles(mesh: Any, stretch: Float, slots: int, where: str) -> TriangleMesh:
-    """Read an evaluated mesh's triangles, scaled by `stretch` into the surface frame."""
+    """Read an evaluated mesh's triangles, with vertices multiplied by `stretch` (3, 3) into the surface frame [m].
+
+    `slots` is the number of material slots, `where` names the object in errors.
+    """
     mesh.calc_loop_triangles()
     vertices = _read_array(mesh.vertices, "co", np.float32, 3).astype(np.float64) @ stretch.T
     if not np.isfinite(vertices).all():
@@ -340,7 +345,7 @@ def _read_triangles(mesh: Any, stretch: Float, slots: int, where: str) -> Triang
 
 
 def compute_cofactors(matrix: Float) -> Float:
-    """Compute det(M) M⁻ᵀ, which transforms normals, also for a singular matrix M (3, 3)."""
+    """Compute the cofactor matrix det(M) M⁻ᵀ of M (3, 3), which transforms normals, also if M is singular."""
     first, second, third = matrix
     return np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)])
 
@@ -402,7 +407,10 @@ def _read_array(collection: Any, name: str, dtype: Any, width: int = 1) -> NDArr
 
 
 def _find_source_faces(original: Any, evaluated: Any, depsgraph: Any) -> tuple[Int | None, tuple[str, ...]]:
-    """Return, for every evaluated polygon, its polygon of original.data, and notes for the user."""
+    """Return, for every evaluated polygon, the polygon of the object's own mesh it comes from, and notes for the user.
+
+    The first is None if the object has no mesh of its own.
+    """
     if original.type != "MESH":
         return None, (f"object '{original.name}' has no mesh of its own: tokens cannot be stored on it.",)
     count = len(evaluated.polygons)
@@ -417,7 +425,7 @@ def _find_source_faces(original: Any, evaluated: Any, depsgraph: Any) -> tuple[I
 
 
 def _has_same_topology(mesh: Any, evaluated: Any) -> bool:
-    """Return True if modifiers left the faces of a mesh as they are."""
+    """Return True if modifiers left the faces of a mesh as they are, so that `evaluated` has the same ones."""
     sizes = [(len(m.vertices), len(m.loops), len(m.polygons)) for m in (mesh, evaluated)]
     if sizes[0] != sizes[1]:
         return False
@@ -428,7 +436,10 @@ def _has_same_topology(mesh: Any, evaluated: Any) -> bool:
 
 
 def _trace_source_faces(original: Any, frame: float) -> Int:
-    """Find source faces by evaluating a copy whose faces carry their index; modifiers do not blend integers."""
+    """Find each evaluated face's original face by evaluating a copy of the object whose faces carry their index.
+
+    The index is an integer attribute, which modifiers copy without blending.
+    """
     from .temp_scene import TemporaryScene
 
     with TemporaryScene() as temporary:

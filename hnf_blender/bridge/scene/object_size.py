@@ -1,6 +1,6 @@
 """Size and place of objects without reading their meshes: unit scale, visibility, world-aligned bounding boxes.
 
-`find_neighbours` and its like tell which objects may be in a hand's way; objects of implausible size get a warning.
+`describe_neighbours` tells which objects may be in a hand's way; objects of implausible size get a warning.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hnf_core.errors import SceneError
 Float = NDArray[np.float64]
 
 NEIGHBOUR_DISTANCE_M = 0.25
-"""Distance up to which an object counts as a neighbour that may be in a hand's way [m]."""
+"""Distance up to which an object counts as a neighbor that may be in a hand's way [m]."""
 
 
 def is_visible(obj: Any, view_layer: Any) -> bool:
@@ -33,7 +33,8 @@ def filter_visible(objects: Iterable[Any], view_layer: Any) -> list[Any]:
 def filter_rendered(objects: Iterable[Any], view_layer: Any) -> list[Any]:
     """Return the objects that are enabled in renders.
 
-    An object is disabled if it is so itself, or if every collection that contains it is, directly or through a parent.
+    An object is disabled if its own render flag says so, or if every collection that contains it is disabled, directly
+    or through a parent.
     """
     import bpy
 
@@ -61,13 +62,19 @@ def _iter_rendered_collections(layer: Any) -> Iterator[Any]:
 
 
 def get_world_box(obj: Any, depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
-    """Return the lowest and highest corner (3,) of an evaluated object's box, world units × metres_per_unit."""
+    """Return the lowest and highest corner (3,) of an evaluated object's world-aligned bounding box.
+
+    Coordinates are in Blender units times `metres_per_unit`: in meters if that is the unit's length.
+    """
     low, high = get_world_boxes([obj], depsgraph, metres_per_unit)
     return low[0], high[0]
 
 
 def get_world_boxes(objects: Sequence[Any], depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
-    """Return the lowest and highest corners (n, 3) of objects' boxes, world units × metres_per_unit."""
+    """Return the lowest and highest corners (n, 3) of objects' world-aligned bounding boxes.
+
+    Coordinates are in Blender units times `metres_per_unit`: in meters if that is the unit's length.
+    """
     evaluated = [obj.evaluated_get(depsgraph) for obj in objects]
     world = np.array([member.matrix_world for member in evaluated], dtype=np.float64).reshape(-1, 4, 4)
     corners = np.array([[tuple(corner) for corner in member.bound_box] for member in evaluated], dtype=np.float64)
@@ -77,10 +84,10 @@ def get_world_boxes(objects: Sequence[Any], depsgraph: Any, metres_per_unit: flo
 
 
 def describe_neighbours(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -> list[str]:
-    """Describe the visible meshes near an object as text, for hashing.
+    """Describe the visible meshes near an object as text, so that a hash of it changes when one of them moves.
 
-    Each line has a name, the number of vertices and the box [m], rounded to 0.1 mm, relative to the object. A vertex
-    that moves inside its mesh's box is not noticed; at most it could free a better place for a stroke.
+    Each line has a name, the number of vertices and the bounding box [m], rounded to 0.1 mm, relative to the object. A
+    vertex that moves inside its mesh's box is not noticed; at most it could free a better place for a stroke.
     """
     low, high = get_world_box(obj, depsgraph, metres_per_unit)
     others = filter_visible(
@@ -135,7 +142,7 @@ def get_metres_per_unit(scene: Any, override: float | None = None) -> float:
 def get_size_warning(obj: Any, metres: float) -> str | None:
     """Return a warning for an object whose bounding box has a diagonal above 5 m or below 5 mm, else None.
 
-    `metres` is the length of a Blender unit [m]. Scenes in centimetres and unapplied scales show up here.
+    `metres` is the length of a Blender unit [m]. Scenes in centimeters and unapplied scales show up here.
     """
     scale = obj.matrix_world.to_scale()
     corners = list(obj.bound_box)

@@ -35,7 +35,7 @@ def find_object(scene: Any, name: str, scene_objects: list[Any] | None = None) -
 
 
 def get_named_objects(scene: Any) -> dict[str, Any]:
-    """Return all objects of a scene by these names, in the scene's order."""
+    """Return all objects of a scene by the names that `get_scene_name` gives them, in the scene's order."""
     objects = list(scene.objects)
     count = Counter(obj.name for obj in objects)
     return {obj.name if obj.library is None or count[obj.name] == 1 else obj.name_full: obj for obj in objects}
@@ -70,7 +70,7 @@ class SceneNames:
 
 
 def _find_by_name(name: str) -> list[Any]:
-    """Return the file's objects of a name, local and linked.
+    """Return all objects of the .blend with a name, local and linked.
 
     Blender finds an object by name and library at once, whereas a scene's objects would have to be searched.
     """
@@ -81,7 +81,7 @@ def _find_by_name(name: str) -> list[Any]:
 
 
 def _find_by_full_name(name: str) -> list[Any]:
-    """Return the file's linked objects of a full name."""
+    """Return the .blend's linked objects with a full name, which includes their file."""
     import bpy
 
     ends = ((f" [{library.name}]", library.filepath) for library in bpy.data.libraries)

@@ -1,12 +1,12 @@
 """Data stored in the .blend: custom properties of datablocks, and the baked tokens of a mesh.
 
-Tokens are palette indices, roughness and confidence per face, and the palette as an ID property. All of them are part
-of the mesh datablock, so that they survive saving, appending and copying, also without the add-on. Vertex colours of
-scans are handled here too.
+A token describes a material's micro-geometry for the haptic field. A mesh stores palette indices, roughness and
+confidence per face, and the palette of tokens as an ID property. All of them are part of the mesh datablock, so that
+they survive saving, appending and copying, also without the add-on. Vertex colors of scans are handled here too.
 
-An override saves neither ID properties that hold bytes nor new ones; it does save registered text. On a stroke that is
-an override, everything is therefore stored in one registered property, Object.hnf_stroke.kept, as JSON with bytes in
-base 85.
+A library override saves neither ID properties that hold bytes nor new ones; it does save registered text. On a stroke
+that is an override, everything is therefore stored in one registered property, Object.hnf_stroke.kept, as JSON with
+bytes in base 85.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from ... import compat
 
 
 def set_property(block: Any, name: str, value: bytes | str | int) -> None:
-    """Set a property of a datablock.
+    """Set a custom property of a datablock.
 
-    The old value is deleted first: over bytes Blender writes only up to the first zero (4.2, 4.5, 5.0).
+    The old value is deleted first: when Blender (4.2, 4.5, 5.0) overwrites bytes, it stops at the first zero byte.
     """
     if _is_override(block):
         encoded = {"bytes": base64.b85encode(value).decode()} if isinstance(value, bytes) else value
@@ -40,7 +40,7 @@ def set_property(block: Any, name: str, value: bytes | str | int) -> None:
 
 
 def get_property(block: Any, name: str) -> Any:
-    """Return a property written by `set_property`: None if missing, b"" if an override's bytes are damaged."""
+    """Return a custom property written by `set_property`: None if missing, b"" if an override's bytes are damaged."""
     overridden = _read_override(block) if _is_override(block) else {}
     if name not in overridden:
         return block.get(name)
@@ -54,13 +54,13 @@ def get_property(block: Any, name: str) -> Any:
 
 
 def has_property(block: Any, name: str) -> bool:
-    """Return True if `get_property` would return a value; decodes nothing, as it is called at every redraw."""
+    """Return True if `get_property` would return a value; nothing is decoded, as this is called at every redraw."""
     overridden = _read_override(block) if _is_override(block) else {}
     return overridden[name] is not None if name in overridden else name in block
 
 
 def delete_property(block: Any, name: str) -> None:
-    """Delete a property of a datablock; on an override, the linked original's value stays hidden."""
+    """Delete a custom property of a datablock; on a library override, the linked original's value stays hidden."""
     if _is_override(block):
         block.hnf_stroke.kept = json.dumps({**_read_override(block), name: None})
     elif name in block:
@@ -73,7 +73,7 @@ def _is_override(block: Any) -> bool:
 
 
 def _read_override(block: Any) -> dict[str, Any]:
-    """Return the override's own properties; {} if its text is damaged, so that the original's are used."""
+    """Return the properties stored on a library override; {} if their text is damaged: the original's then count."""
     try:
         return dict(json.loads(block.hnf_stroke.kept or "{}"))
     except (ValueError, TypeError):
@@ -93,7 +93,7 @@ UNBAKED = -1
 
 @dataclass(frozen=True)
 class PointTokens:
-    """Baked tokens of the splats that a mesh was reconstructed from: index (N,) int32, confidence (N,) float32."""
+    """Baked tokens of the splats that a mesh was made from: palette index (N,) int32, confidence (N,) float32."""
 
     index: NDArray[np.int32]
     confidence: NDArray[np.float32]
@@ -101,7 +101,7 @@ class PointTokens:
 
 @dataclass(frozen=True)
 class FaceTokens:
-    """Baked tokens of one mesh.
+    """Baked tokens (descriptions of the micro-geometry felt) of one mesh, per face.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ def count_token_bytes(mesh: Any) -> int:
 
 
 def remove_tokens(mesh: Any) -> int:
-    """Remove the tokens from a mesh; return the bytes freed. Raises SceneError like `write_tokens`."""
+    """Remove the tokens from a mesh; return the bytes freed. Raises SceneError for a linked mesh or in Edit Mode."""
     _check_writable(mesh)
     freed = count_token_bytes(mesh)
     for name in (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE):
@@ -213,9 +213,9 @@ def _read_attribute(mesh: Any, name: str, dtype: type) -> NDArray[Any]:
 
 
 def show_vertex_colours(obj: Any) -> None:
-    """Give a scan a material that shows its vertex colours, since its file has none.
+    """Give a scan a material that shows its vertex colors, since its file has none.
 
-    Objects that are not meshes, have a material, or have no vertex colours are left alone.
+    Objects that are not meshes, have a material, or have no vertex colors are left alone.
     """
     import bpy
 

@@ -16,7 +16,7 @@ from typing import TextIO
 
 @contextmanager
 def suppress_output() -> Iterator[None]:
-    """Discard everything that C or Python code prints in this block.
+    """Discard everything that C or Python code prints in the with block.
 
     Does nothing if the process has no standard streams (a windowed Windows program). Output of other threads is
     discarded too.
@@ -42,7 +42,7 @@ def suppress_output() -> Iterator[None]:
 
 @cache
 def _open_null() -> TextIO:
-    """Open the null device; it is never closed, since the glTF importer's log handlers keep the stream they found."""
+    """Open the null device once and keep it open, as the glTF importer's log handlers keep the stream they found."""
     return open(os.devnull, "w", encoding="utf-8")
 
 

@@ -63,7 +63,7 @@ class TemporaryScene:
 
     @contextmanager
     def track_new_data(self) -> Iterator[None]:
-        """Register datablocks created in this block for removal at the end."""
+        """Register datablocks created in the with block for removal when the temporary scene is removed."""
         before = set(_list_datablocks())
         try:
             yield
@@ -77,7 +77,7 @@ class TemporaryScene:
 
     @property
     def folder(self) -> Path:
-        """Temporary folder that exists as long as this context."""
+        """Temporary folder that exists as long as this context manager is active."""
         if self._folder is None:
             import tempfile  # imported late: users of TEMP_SCENE_NAME need no folders
 
@@ -86,7 +86,7 @@ class TemporaryScene:
 
     @property
     def view_layer(self) -> Any:
-        """The scene's only view layer."""
+        """Only view layer of the temporary scene."""
         return self.scene.view_layers[0]
 
     def link(self, obj: Any) -> Any:
@@ -180,10 +180,10 @@ STROKE_CHANNELS = ("force", "progress")
 
 @contextmanager
 def preserve_animated_values(scene: Any, *objects: Any) -> Iterator[None]:
-    """Restore the values of objects and their parents at the end of this block.
+    """Restore the animated values of objects and their parents at the end of the with block.
 
-    Unkeyed changes are restored too, and everything else that is animated is set to the scene's current frame again.
-    `scene` must not be the temporary one.
+    Evaluating other frames overwrites them. Values that the user changed without keying them are restored too, and
+    everything else that is animated is set to the scene's current frame again. `scene` must not be the temporary one.
     """
     chain = {member.name_full: member for obj in objects for member in get_parent_chain(obj)}
     before = {name: _read_values(member) for name, member in chain.items()}
@@ -199,7 +199,7 @@ def preserve_animated_values(scene: Any, *objects: Any) -> Iterator[None]:
 
 
 def get_parent_chain(obj: Any) -> list[Any]:
-    """Return the object and its parents."""
+    """Return the object and its parents, the object first."""
     chain = []
     while obj is not None:
         chain.append(obj)

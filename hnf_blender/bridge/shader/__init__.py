@@ -1,4 +1,5 @@
 """Material node trees → shading values, micro-geometry (bump, displacement, normal maps) and content hashes.
 
-Values that only the renderer can compute are tapped with AOV outputs. Read `closures.py` first.
+Values that only the renderer can compute are written to AOV passes by nodes added to a copy ("taps"). Read
+`closures.py` first.
 """

@@ -1,6 +1,6 @@
 """Taps: values inside a shader that are rendered as AOV passes, so that they can be combined in numpy.
 
-Also the resolution of the images behind such values: the size of their texels, measured on the rendered patch.
+The texel size of the images behind such values, measured on the rendered patch (a square of surface), is here too.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ class Tap:
     kind: Literal["VALUE", "COLOR"]
 
     def read(self, passes: Passes) -> Float:
-        """Return the value of every pixel from the rendered passes."""
+        """Return the value at every pixel, (H, W) or (H, W, 3), from the rendered passes."""
         pixels = passes[self.name].astype(np.float64)
         return pixels[..., :3] if self.kind == "COLOR" else pixels
 
 
 @dataclass(frozen=True)
 class Constant:
-    """A value that is the same at every pixel: a number or three."""
+    """A shader value that is the same at every pixel: a number, or three for a color."""
 
     value: float | tuple[float, float, float]
 
     def read(self, passes: Passes) -> Float:
-        """Return the value."""
+        """Return the value; the rendered passes are not used."""
         return np.asarray(self.value, dtype=np.float64)
 
 
@@ -47,7 +47,7 @@ Quantity = Tap | Constant
 
 
 class Tapper:
-    """Adds AOV outputs to a material copy; their names start with `prefix`, which makes them unique."""
+    """Adds AOV Output nodes to a copy of a material; their pass names start with `prefix`, which makes them unique."""
 
     def __init__(self, graph: NodeGraph, prefix: str) -> None:
         self.graph = graph
@@ -56,7 +56,7 @@ class Tapper:
         self._tap_cache: dict[tuple[str, str, str, str], Tap] = {}
 
     def tap_output(self, socket: Any, kind: Literal["VALUE", "COLOR"]) -> Tap:
-        """Tap an output socket, in whichever node group its node is."""
+        """Add an AOV output for an output socket and return its pass; the socket may be inside a node group."""
         key = (socket.id_data.name_full, socket.node.name, socket.identifier, kind)
         if key not in self._tap_cache:
             tap = Tap(f"{self._prefix}{len(self.taps)}", kind)
@@ -68,14 +68,17 @@ class Tapper:
         return self._tap_cache[key]
 
     def tap_input(self, socket: Any, kind: Literal["VALUE", "COLOR"]) -> Quantity:
-        """Return the value of an input socket: a tap, or a constant if nothing is linked."""
+        """Return the value of an input socket: an AOV pass (Tap), or a constant if nothing is linked."""
         source = self.graph.resolve(socket)
         if source.is_output and not source.node.mute:
             return self.tap_output(source, kind)
         return Constant(get_constant_value(source, kind))
 
     def multiply(self, tree: Any, *factors: Any) -> Any:
-        """Add a chain of Math nodes to `tree` and return the output with the product of factors (see `copy_input`)."""
+        """Add a chain of Math nodes to `tree` and return the output socket with the product of `factors`.
+
+        A factor is an input or output socket in `tree`, or a number.
+        """
         result: Any = None
         for factor in factors:
             node = tree.nodes.new("ShaderNodeMath")
@@ -107,7 +110,10 @@ def copy_input(tree: Any, source: Any, target: Any) -> None:
 
 
 def get_constant_value(socket: Any, kind: str) -> Any:
-    """Return a socket's default: for VALUE a number (luminance of colours, as in Blender), for COLOR three."""
+    """Return the default value of an unlinked socket: for VALUE a number, for COLOR three.
+
+    A color read as VALUE gives its luminance, as in Blender.
+    """
     value = getattr(socket, "default_value", 0.0)
     if isinstance(value, (bool, int, float)):
         return float(value) if kind == "VALUE" else (float(value),) * 3
@@ -133,14 +139,14 @@ TEXEL_LIMITED_NODES = frozenset({
     "ShaderNodeSeparateColor", "ShaderNodeCombineColor", "ShaderNodeSeparateRGB", "ShaderNodeCombineRGB",
     "ShaderNodeValue", "ShaderNodeRGB",
 })  # fmt: skip
-"""Nodes between an image and a relief that do not make it finer than the image's texels."""
+"""Types of nodes that, between an image and a relief, do not make the relief finer than the image's texels."""
 STEPLESS_MATH = frozenset({"ADD", "SUBTRACT", "MULTIPLY", "MULTIPLY_ADD", "DIVIDE"})
-"""Operations of Math nodes without a step."""
+"""Operations of Math nodes without a step, which therefore add no detail finer than a texel."""
 
 
 @dataclass(frozen=True)
 class ImageTap:
-    """An image texture behind a value.
+    """An image texture behind a shader value, with the AOV pass of its coordinates.
 
     Attributes
     ----------
@@ -158,7 +164,7 @@ class ImageTap:
 
 
 class ImageSourced(Protocol):
-    """Protocol of values that are made from images, and possibly from procedural textures."""
+    """Protocol of shader values that are made from images, and possibly from procedural textures."""
 
     @property
     def images(self) -> tuple[ImageTap, ...]: ...
@@ -167,9 +173,9 @@ class ImageSourced(Protocol):
 
 
 def find_image_sources(tapper: Tapper, sockets: Iterable[Any]) -> tuple[tuple[ImageTap, ...], bool]:
-    """Return the images behind input sockets, and whether procedural textures are among their sources.
+    """Return the images behind input sockets, and True if procedural textures are among their sources.
 
-    Nodes that only move or bend an image's coordinates do not count, as they add no detail of their own.
+    Nodes that only move or distort an image's coordinates do not count, as they add no detail of their own.
     """
     stop = PROCEDURAL_NODES | {IMAGE_NODE}
     nodes = {
@@ -183,9 +189,10 @@ def find_image_sources(tapper: Tapper, sockets: Iterable[Any]) -> tuple[tuple[Im
 
 
 def is_texel_limited(graph: NodeGraph, sockets: Iterable[Any]) -> bool:
-    """Return True if input sockets depend on at most one image, and on nothing that adds finer detail.
+    """Return True if the input sockets show no detail finer than the texels of one image.
 
-    A colour ramp with a step may be as fine as a pixel, and a product of two images contains sums of their frequencies.
+    They must depend on at most one image: a product of two contains sums of their frequencies. A color ramp with a step
+    may be as fine as a pixel.
     """
     stop = frozenset({IMAGE_NODE})
     nodes = {(node.id_data.name_full, node.name): node for socket in sockets for node in graph.upstream(socket, stop)}
@@ -199,7 +206,7 @@ def is_texel_limited(graph: NodeGraph, sockets: Iterable[Any]) -> bool:
 
 
 def tap_image(node: Any, tapper: Tapper) -> ImageTap:
-    """Tap the coordinates of an Image Texture node."""
+    """Add an AOV output for the coordinates of an Image Texture node, from which its texel size is measured."""
     tree, vector = node.id_data, node.inputs["Vector"]
     if tapper.graph.resolve(vector).is_output:
         tap = tapper.tap_output(vector.links[0].from_socket, "COLOR")
@@ -215,12 +222,16 @@ def tap_image(node: Any, tapper: Tapper) -> ImageTap:
 
 
 def compute_resolved_wavelength(sources: Iterable[ImageSourced], passes: Passes, mask: Mask, pixel_m: float) -> float:
-    """Return the shortest resolved wavelength [m]: two texels of the finest source, at least two pixels."""
+    """Return the shortest resolved wavelength [m]: two texels of the finest image, at least two pixels (`pixel_m`)."""
     return max(2.0 * find_finest_texel(sources, passes, mask, pixel_m), 2.0 * pixel_m)
 
 
 def find_finest_texel(sources: Iterable[ImageSourced], passes: Passes, mask: Mask, pixel_m: float) -> float:
-    """Return the smallest texel size among sources [m]: 0 if one is procedural, inf if it is unknown."""
+    """Return the smallest texel size on the surface among the images of `sources` [m].
+
+    It is 0 if a source is procedural, inf if unknown. `mask` (H, W) is the patch's surface, `pixel_m` the size of a
+    pixel [m].
+    """
     sources = tuple(sources)
     if any(source.procedural for source in sources):
         return 0.0
@@ -229,12 +240,15 @@ def find_finest_texel(sources: Iterable[ImageSourced], passes: Passes, mask: Mas
 
 
 def measure_texel_size(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> float:
-    """Return the median size of a texel [m], in the direction in which it is longest; inf if unknown."""
+    """Return the median size on the surface of a texel [m], in the direction in which it is longest; inf if unknown.
+
+    `mask` (H, W) is the patch's surface, `pixel_m` the size of a pixel [m].
+    """
     texels = np.asarray(image.texels, dtype=np.float64)
     coordinates = image.vector.read(passes)[..., : len(texels)] * texels
     across = (coordinates[1:-1, 2:] - coordinates[1:-1, :-2]) / (2.0 * pixel_m)
     along = (coordinates[2:, 1:-1] - coordinates[:-2, 1:-1]) / (2.0 * pixel_m)
-    # Smaller singular value of the Jacobian (texels per metre), by its first fundamental form.
+    # Smaller singular value of the Jacobian (texels per meter), by its first fundamental form.
     e, f, g = (np.sum(a * b, axis=-1) for a, b in ((across, across), (across, along), (along, along)))
     smallest = np.sqrt(np.maximum((e + g - np.sqrt((e - g) ** 2 + 4.0 * f**2)) / 2.0, 0.0))
     inner = mask[1:-1, 1:-1] & (smallest > 0.0)

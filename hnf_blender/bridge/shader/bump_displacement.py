@@ -27,9 +27,9 @@ BUMP_FACTORS = ("Distance", "Strength")
 
 @dataclass(frozen=True)
 class Amount:
-    """A node's input, for the report.
+    """A numeric input of a Bump, Displacement or Normal Map node, for the report.
 
-    `value` is None if the input is textured; `is_length` is true for a length in the tap's Blender units.
+    `value` is None if the input is textured; `is_length` is true for a length in Blender units, as opposed to a factor.
     """
 
     label: str
@@ -49,7 +49,7 @@ class Amount:
 
 @dataclass(frozen=True)
 class Relief:
-    """One source of height.
+    """One source of surface height: a Bump or Displacement node.
 
     Attributes
     ----------
@@ -81,7 +81,8 @@ class Relief:
 class Slopes:
     """A shading normal whose height is unknown, as from a normal map.
 
-    `tap` is the world-space normal (COLOR), `source` a description for the report; the others are as in Relief.
+    `tap` is the AOV pass with the world-space normal (COLOR), `source` a description for the report. `images`,
+    `procedural` and `texel_limited` tell, as in Relief, which textures it is made from.
     """
 
     tap: Tap
@@ -93,14 +94,17 @@ class Slopes:
 
 @dataclass(frozen=True)
 class MicroGeometry:
-    """Micro-geometry of one closure's Normal input, or of a material's Displacement; heights add up."""
+    """Micro-geometry of one closure's (BSDF's) Normal input, or of a material's Displacement; heights add up."""
 
     reliefs: tuple[Relief, ...] = ()
     slopes: tuple[Slopes, ...] = ()
 
 
 def read_normal_input(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeometry:
-    """Read a closure's Normal input: a chain of Bump nodes, and the normal at its end."""
+    """Read the micro-geometry of a BSDF's Normal input: a chain of Bump nodes, and the normal at its end.
+
+    Remarks for the user are appended to `notes`.
+    """
     bumps, end = follow_normal_chain(tapper.graph, socket)
     reliefs = tuple(_read_bump(node, tapper) for node in bumps)
     if end is None:
@@ -119,7 +123,7 @@ def read_normal_input(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
 
 
 def follow_normal_chain(graph: NodeGraph, socket: Any) -> tuple[list[Any], Any]:
-    """Return the Bump nodes behind a closure's Normal input, and the socket of the normal at the chain's end.
+    """Return the Bump nodes chained behind a BSDF's Normal input, and the socket of the normal at the chain's end.
 
     The socket is None for the smooth surface's own normal. Nodes without effect (Strength 0, no Height) are left out.
     """
@@ -144,7 +148,10 @@ def is_displacing(graph: NodeGraph, socket: Any) -> bool:
 
 
 def read_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeometry:
-    """Read the height of a Displacement node: (Height − Midlevel) × Scale."""
+    """Read the height of a Displacement node: (Height − Midlevel) × Scale.
+
+    `socket` is the material's Displacement input. Remarks for the user are appended to `notes`.
+    """
     node = tapper.graph.source_node(socket)
     if node is None:
         return MicroGeometry()
@@ -189,24 +196,24 @@ def _read_bump(node: Any, tapper: Tapper) -> Relief:
 
 
 def get_relief_inputs(node: Any) -> list[Any]:
-    """Return the inputs that determine the height of a Bump or Displacement node."""
+    """Return the input sockets that determine the height of a Bump or Displacement node."""
     factors = BUMP_FACTORS if node.bl_idname == "ShaderNodeBump" else ("Midlevel", "Scale")
     return [node.inputs[name] for name in ("Height", *factors)]
 
 
 def _is_off(graph: NodeGraph, node: Any, *factors: str) -> bool:
-    """Return True if one of these inputs is constant 0."""
+    """Return True if one of the node's inputs named in `factors` is constant 0, so that the node has no effect."""
     sources = [graph.resolve(node.inputs[name]) for name in factors]
     return any(not source.is_output and get_constant_value(source, "VALUE") == 0.0 for source in sources)
 
 
 def _is_smooth_normal(source: Any) -> bool:
-    """Return True if a socket is the surface's own smooth normal."""
+    """Return True if a socket gives the surface's own smooth normal, as the Geometry node does."""
     return source.node.bl_idname == "ShaderNodeNewGeometry" and source.name in {"Normal"}
 
 
 def _check_normal_map(node: Any, graph: NodeGraph, notes: list[str]) -> None:
-    """Append a note for every image of a normal map that is tagged as a colour."""
+    """Append a note for the user for every image of a normal map that is read as a color instead of as data."""
     if node.bl_idname != "ShaderNodeNormalMap":
         return
     for image_node in graph.upstream(node.inputs["Color"], PROCEDURAL_NODES | {IMAGE_NODE}):

@@ -1,8 +1,8 @@
-"""Read a material's shader as a tree of closures: shading values and micro-geometry of each, and their mix factors.
+"""Read a material's shader as a tree of closures (BSDFs): shading values, micro-geometry, and mix factors.
 
-`read_shader` taps a material copy for rendering. `read_stated_appearance`, `find_relief_source` and `is_direct_image`
-use only the nodes, without a render. `find_colour_sources` gives the images, patterns and vertex colours
-behind a colour, for materials without a relief.
+`read_shader` adds AOV outputs to a material copy for rendering. `read_stated_appearance`, `find_relief_source` and
+`is_direct_image` use only the nodes, without a render. `find_colour_sources` gives the images, patterns and vertex
+colors behind a color, for materials without a relief.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ SHADING = ("base_color", "roughness", "metallic", "sheen", "transmission")
 
 @dataclass(frozen=True)
 class Closure:
-    """One BSDF: its shading values by name (SHADING), and its micro-geometry."""
+    """One BSDF of a material: its shading values by name (see SHADING), and its micro-geometry."""
 
     shading: Mapping[str, Quantity] = field(default_factory=dict)
     micro: MicroGeometry = field(default_factory=MicroGeometry)
@@ -69,10 +69,10 @@ Layers = Closure | Blend
 
 @dataclass(frozen=True)
 class ShaderReading:
-    """Taps and constants of a material.
+    """What a material's nodes say, as AOV passes (taps) and constants.
 
-    `layers` is its surface, None without nodes; `displacement` is added to all layers; `notes` are remarks for the
-    user.
+    `layers` is its surface, a tree of mixed BSDFs, None without nodes; `displacement` is added to all of them; `notes`
+    are remarks for the user.
     """
 
     layers: Layers | None
@@ -81,7 +81,7 @@ class ShaderReading:
 
 
 def read_shader(tapper: Tapper) -> ShaderReading:
-    """Tap the shading values and the micro-geometry of a material copy."""
+    """Add AOV outputs for the shading values and the micro-geometry to a material copy; return the reading."""
     output = tapper.graph.output
     if output is None:
         return ShaderReading(None, MicroGeometry(), ("its node tree has no Material Output.",))
@@ -93,7 +93,7 @@ def read_shader(tapper: Tapper) -> ShaderReading:
 
 
 def read_viewport_shading(material: Any) -> Closure:
-    """Return a material's viewport values as a closure, for materials without nodes."""
+    """Return a material's viewport color, roughness and metallic as a closure (BSDF), for materials without nodes."""
     colour = tuple(float(part) for part in material.diffuse_color)[:3]
     return Closure({
         "base_color": Constant((colour[0], colour[1], colour[2])),
@@ -103,9 +103,9 @@ def read_viewport_shading(material: Any) -> Closure:
 
 
 def mix_closures(layers: Layers, passes: Passes, value: Callable[[Closure], Float | None]) -> Float | None:
-    """Evaluate `value` for every closure and mix the results by the factors.
+    """Evaluate `value` for every closure (BSDF) and mix the results by the mix factors, pixel by pixel.
 
-    Closures for which it is None leave the result to the others; None if it is None for all.
+    Where `value` is None for one side of a mix, the other side counts alone; the result is None if it is None for all.
     """
     if isinstance(layers, Closure):
         return value(layers)
@@ -119,7 +119,7 @@ def mix_closures(layers: Layers, passes: Passes, value: Callable[[Closure], Floa
 
 
 def list_closures(layers: Layers | None) -> list[Closure]:
-    """Return all closures of a surface."""
+    """Return all closures (BSDFs) of a surface, however they are mixed."""
     if layers is None:
         return []
     if isinstance(layers, Closure):
@@ -128,7 +128,7 @@ def list_closures(layers: Layers | None) -> list[Closure]:
 
 
 def list_mix_factors(layers: Layers | None) -> list[Quantity]:
-    """Return the mix factors of a surface."""
+    """Return the mix factors of a surface's Mix Shader nodes."""
     if layers is None or isinstance(layers, Closure):
         return []
     return [layers.factor, *list_mix_factors(layers.first), *list_mix_factors(layers.second)]
@@ -151,7 +151,7 @@ def average_appearance(layers: Layers | None, passes: Passes, mask: NDArray[np.b
 
 
 def read_shading_value(name: str, passes: Passes, closure: Closure) -> Float | None:
-    """Return a closure's shading value at every pixel, or None if it has none."""
+    """Return a BSDF's shading value of a name (see SHADING) at every pixel, or None if it has none."""
     quantity = closure.shading.get(name)
     return None if quantity is None else quantity.read(passes)
 
@@ -182,13 +182,16 @@ BSDFS: ClosureTable = {
     "ShaderNodeBsdfHairPrincipled": (_COLOUR_INPUT, {"metallic": 0.0}),
     "ShaderNodeEeveeSpecular": ({"base_color": ("Base Color", "COLOR"), "roughness": ("Roughness", "VALUE")}, {}),
 }
-"""Tapped inputs and known values of every BSDF node."""
+"""Type of a BSDF node → shading values read from its inputs (socket name and kind), and values known from its type."""
 EMISSIVE: ClosureTable = {"ShaderNodeEmission": (_COLOUR_INPUT, {}), "ShaderNodeBackground": (_COLOUR_INPUT, {})}
 """Emissive nodes, read if a surface has no BSDF: scans are often saved with emission, to be shown without light."""
 
 
 def _read_layers(socket: Any, tapper: Tapper, notes: list[str], table: ClosureTable) -> Layers | None:
-    """Read a resolved shader socket's closures that are in `table`; None if there are none."""
+    """Read the tree of closures (BSDFs) behind a shader socket, as far as their node types are in `table`.
+
+    Returns None if there are none.
+    """
     if not socket.is_output or socket.node.mute:
         return None
     node, graph = socket.node, tapper.graph
@@ -235,7 +238,7 @@ def read_stated_appearance(material: Any) -> Appearance:
 
 
 class _ConstantTapper(Tapper):
-    """A tapper that reads Value and RGB nodes as constants."""
+    """A Tapper that reads Value and RGB nodes as constants, for readings without a render."""
 
     def tap_input(self, socket: Any, kind: Literal["VALUE", "COLOR"]) -> Quantity:
         source = self.graph.resolve(socket)
@@ -245,7 +248,7 @@ class _ConstantTapper(Tapper):
 
 
 def _make_appearance(layers: Any, mix_factors: dict[str, NDArray[np.float32]]) -> Appearance:
-    """Return the constant shading values of layers, mixed by given factors."""
+    """Return the shading values of a tree of BSDFs that are constant, with mix factors by AOV name."""
     values: dict[str, Any] = {}
     for name in SHADING:
         value = mix_closures(layers, mix_factors, partial(_read_constant, name))
@@ -256,7 +259,7 @@ def _make_appearance(layers: Any, mix_factors: dict[str, NDArray[np.float32]]) -
 
 
 def _read_constant(name: str, closure: Closure) -> NDArray[np.float64] | None:
-    """Return a closure's shading value if it is constant, else None."""
+    """Return a BSDF's shading value of a name if it is constant, else None."""
     quantity = closure.shading.get(name)
     return quantity.read({}) if isinstance(quantity, Constant) else None
 
@@ -271,10 +274,10 @@ VARYING_NODES = (
 
 
 class ReliefSource(Enum):
-    """Source from which a material's relief can be known.
+    """What a material's relief (height) can be read or predicted from.
 
-    RELIEF: the material has bump, displacement or normal maps. VARYING_COLOUR: it has none, but its colour may vary
-    from place to place. NONE: neither.
+    RELIEF: the material has bump, displacement or normal maps. VARYING_COLOUR: it has none, but its color may vary from
+    place to place. NONE: neither.
     """
 
     RELIEF = "relief"
@@ -284,7 +287,7 @@ class ReliefSource(Enum):
 
 @dataclass(frozen=True)
 class ColourSources:
-    """Sources of a colour that may vary.
+    """What makes a material's color vary: images, procedural textures, vertex colors.
 
     Attributes
     ----------
@@ -292,7 +295,7 @@ class ColourSources:
     procedural : bool
         True if procedural textures are among the sources.
     painted : bool
-        True if vertex colours are among the sources.
+        True if vertex colors are among the sources.
     source : str
         Description for the report.
     """
@@ -304,7 +307,7 @@ class ColourSources:
 
 
 def find_relief_source(material: Any) -> ReliefSource:
-    """Classify a material by its nodes, without a copy and without a render.
+    """Tell what a material's relief can be read or predicted from, by its nodes alone: no copy, no render.
 
     A node group that is used twice in the material is read once.
     """
@@ -321,9 +324,9 @@ def find_relief_source(material: Any) -> ReliefSource:
 
 
 def is_direct_image(material: Any) -> bool:
-    """Return True if a material's relief is made of images directly, so that a first pass can measure their texels.
+    """Return True if a material's relief is made of images directly, so that a coarse render can measure their texels.
 
-    Reads the nodes only, like `find_relief_source`; see `choose_resolution` in `bridge/render/closeup.py`.
+    Reads the nodes only, like `find_relief_source`; `choose_resolution` in `bridge/render/closeup.py` uses the texels.
     """
     if material is None or not compat.use_nodes(material):
         return False
@@ -341,7 +344,7 @@ def is_direct_image(material: Any) -> bool:
 
 
 def has_relief(graph: NodeGraph) -> bool:
-    """Return True if a closure's normal, or the displacement, shapes the surface."""
+    """Return True if a BSDF's Normal input, or the material's displacement, shapes the surface."""
     if graph.output is None:
         return False
     closures, _ = _find_surface_closures(graph)
@@ -351,7 +354,7 @@ def has_relief(graph: NodeGraph) -> bool:
 
 
 def find_colour_sources(tapper: Tapper) -> ColourSources | None:
-    """Return the sources of a material copy's colour; None if it has a relief or a uniform colour."""
+    """Return what makes the color of a material copy vary; None if the material has a relief or a uniform color."""
     sockets = list_colour_sockets(tapper.graph)
     kinds = _collect_node_types(tapper.graph, sockets)
     if has_relief(tapper.graph) or not kinds & VARYING_NODES:
@@ -361,21 +364,21 @@ def find_colour_sources(tapper: Tapper) -> ColourSources | None:
     descriptions = [f"image '{name}'" for name in dict.fromkeys(image.name for image in images)]
     descriptions += ["a pattern"] if pattern else []
     descriptions += ["painted vertices"] if painted else []
-    # A bare coordinate counts as a pattern without texels. Vertex colours are as fine as the mesh's vertices.
+    # A bare coordinate counts as a pattern without texels. Vertex colors are as fine as the mesh's vertices.
     return ColourSources(
         images, procedural and (pattern or not painted), painted, ", ".join(descriptions) or "a pattern"
     )
 
 
 def list_colour_sockets(graph: NodeGraph) -> list[Any]:
-    """Return the colour inputs of the surface's closures, and the factors that mix them."""
+    """Return the color inputs of the surface's BSDF nodes, and the factor inputs of the Mix Shaders between them."""
     closures, factors = _find_surface_closures(graph)
     names = [({**BSDFS, **EMISSIVE})[node.bl_idname][0]["base_color"][0] for node in closures]
     return [node.inputs[name] for node, name in zip(closures, names, strict=True) if name in node.inputs] + factors
 
 
 def _find_surface_closures(graph: NodeGraph) -> tuple[list[Any], list[Any]]:
-    """Return the surface's BSDF nodes, and the factor sockets of Mix Shaders with one on either side.
+    """Return the surface's BSDF nodes, and the factor sockets of Mix Shaders that have BSDFs on both sides.
 
     If there is no BSDF, emissive nodes are returned instead.
     """
@@ -387,7 +390,7 @@ def _find_surface_closures(graph: NodeGraph) -> tuple[list[Any], list[Any]]:
 
 
 def _collect_closures(graph: NodeGraph, socket: Any, table: ClosureTable) -> tuple[list[Any], list[Any]]:
-    """Return the nodes behind a socket that are in `table`, and the factor sockets that mix them."""
+    """Return the nodes behind a shader socket whose types are in `table`, and the factor sockets that mix them."""
     node = graph.source_node(socket)
     if node is None:
         return [], []

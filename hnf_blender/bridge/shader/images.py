@@ -1,6 +1,6 @@
 """Image datablocks: their files, hashes of their pixels, unsaved paint, and the names of the textures of a material.
 
-Names count because what an artist called a texture often says which material it shows.
+The names matter because what an artist called a texture often says which material it shows.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def read_file_bytes(path: Path) -> bytes:
 
 
 def fingerprint_file(path: Path) -> str:
-    """Identify a file's version by path, size and modification time; movies are too large to read."""
+    """Identify a file's version by path, size and modification time, without reading it, as movies are large."""
     status = path.stat()
     return f"{path}\0{status.st_size}\0{status.st_mtime_ns}"
 
@@ -98,7 +98,7 @@ def get_shown_frame(user: Any, frame: int) -> int:
 
 
 def get_frame_file(path: Path, number: int) -> Path:
-    """Return the file with a number in the sequence of `path`; `path` if its name has no number."""
+    """Return the file of image `number` in the sequence that `path` belongs to; `path` if its name has no number."""
     parts = NUMBERED_NAME.fullmatch(path.stem)
     if parts is None:
         return path
@@ -144,7 +144,7 @@ def explain_missing_image(image: Any) -> str | None:
 
 
 def _get_tile_path(path: str, number: int) -> Path:
-    """Return the path of a UDIM tile."""
+    """Return the path of UDIM tile `number`, given a path with a tile placeholder."""
     u, v = (number - 1001) % 10 + 1, (number - 1001) // 10 + 1
     return Path(path.replace("<UDIM>", str(number)).replace("<UVTILE>", f"u{u}_v{v}"))
 
@@ -198,7 +198,7 @@ def _iter_image_names(image: Any) -> Iterator[str]:
 
 
 def _iter_image_nodes(node: Any, visited: set[int]) -> Iterator[Any]:
-    """Yield the image nodes that a node depends on, those in node groups included."""
+    """Yield the image nodes that a node depends on, those inside node groups included; `visited` nodes are skipped."""
     if node.as_pointer() in visited:
         return
     visited.add(node.as_pointer())

@@ -62,7 +62,7 @@ class NodeGraph:
     def upstream(self, socket: Any, stop: frozenset[str] = frozenset()) -> Iterator[Any]:
         """Yield every node that a socket depends on, each once.
 
-        Inputs of nodes whose bl_idname is in `stop` are not followed.
+        Nodes whose bl_idname is in `stop` are yielded, but their inputs are not followed.
         """
         visited: set[tuple[str, str]] = set()
         pending = [socket]
@@ -85,7 +85,7 @@ class NodeGraph:
 
 
 def iter_nodes(tree: Any, visited: set[str] | None = None) -> Iterator[Any]:
-    """Yield every node of a tree and of the groups in it."""
+    """Yield every node of a tree and of the node groups in it, each group once."""
     visited = set() if visited is None else visited
     if tree is None or tree.name_full in visited:
         return

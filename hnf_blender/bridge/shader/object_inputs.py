@@ -1,7 +1,7 @@
 """Object and scene data that shaders read, besides the shape of the surface.
 
-These are attributes of the mesh, the object's place in the world, its colour and indices, and custom properties. They
-are hashed, and copied to stand-ins of the object.
+These are attributes of the mesh, the object's place in the world, its color and indices, and custom properties. They
+are hashed, and copied to the copy of the object that is rendered in a temporary scene (stand-in).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .node_graph import iter_nodes
 WORLD_SPACE_OUTPUTS = frozenset({"Position", "Normal", "True Normal", "Tangent", "Incoming"})
 """Outputs of the Geometry node that are in world axes."""
 RENDER_COLOUR_LAYER = ""
-"""Name in `layers` of the colour attribute that is rendered if none is named."""
+"""Name in `layers` of the color attribute that is rendered if none is named."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class ShaderInputs:
     Attributes
     ----------
     layers : frozenset of str
-        Names of the mesh's attributes, UV maps and colours.
+        Names of the mesh's attributes, UV maps and colors.
     object_properties, scene_properties : frozenset of str
         Names of properties.
     uses_world_space : bool
@@ -46,7 +46,7 @@ class ShaderInputs:
 
 
 def find_shader_inputs(obj: Any, materials: Iterable[Any]) -> ShaderInputs:
-    """Return the inputs that an object's materials (None for an empty slot) read."""
+    """Return the object and scene data that the shaders of an object's materials (None for an empty slot) read."""
     layers: set[str] = set()
     object_properties: set[str] = set()
     scene_properties: set[str] = set()
@@ -85,15 +85,15 @@ def find_shader_inputs(obj: Any, materials: Iterable[Any]) -> ShaderInputs:
 
 
 def format_object_inputs(obj: Any, view_layer: Any, materials: Iterable[Any], inputs: ShaderInputs) -> str:
-    """Format the values of inputs as text, for hashing; "" if shaders read nothing of the object.
+    """Format the values of the object and scene data that shaders read, for hashing; "" if they read none.
 
-    `view_layer` is one of the scene in which the object is touched, since it may be in others too.
+    `view_layer` is one of the scene in which the object is touched, since the object may be in other scenes too.
     """
     return "".join(f"{part}\n" for part in _iter_input_values(obj, view_layer, materials, inputs))
 
 
 def _iter_input_values(obj: Any, view_layer: Any, materials: Iterable[Any], inputs: ShaderInputs) -> Iterator[str]:
-    """Yield the values of inputs as text."""
+    """Yield the values of the object and scene data that shaders read, as text."""
     if inputs.uses_world_space:
         yield repr([list(row) for row in obj.matrix_world])
     if inputs.object_info & {"Color", "Alpha"}:
@@ -113,9 +113,9 @@ def _iter_input_values(obj: Any, view_layer: Any, materials: Iterable[Any], inpu
 
 
 def copy_object_inputs(stand_in: Any, temporary_scene: Any, obj: Any, view_layer: Any, inputs: ShaderInputs) -> None:
-    """Copy the values that shaders read from an object and its scene to a stand-in.
+    """Copy the values that shaders read from an object and its scene to its copy (stand-in) in a temporary scene.
 
-    `view_layer` is as for `format_object_inputs`, None if the object is in no scene.
+    `view_layer` is one of the scene in which the object is touched, None if it is in no scene.
     """
     stand_in.color, stand_in.pass_index = obj.color, obj.pass_index
     for name in inputs.object_properties:
@@ -125,13 +125,13 @@ def copy_object_inputs(stand_in: Any, temporary_scene: Any, obj: Any, view_layer
 
 
 def _get_property_owners(view_layer: Any) -> tuple[Any, ...]:
-    """Return the datablocks in which an Attribute node looks for a view layer's property, in this order."""
+    """Return the datablocks in which an Attribute node of type View Layer looks for a property, in its order."""
     scene = view_layer.id_data
     return view_layer, scene, scene.world
 
 
 def _set_property(block: Any, name: str, value: Any) -> None:
-    """Set a custom property, which an Attribute node finds before Blender's own properties."""
+    """Set a property as a custom one, which an Attribute node finds before Blender's built-in properties."""
     if isinstance(value, (bool, int, float, list)):
         block[name] = value
 

@@ -1,6 +1,6 @@
-"""Content hashes of shaders: materials with equal hashes give equal close-ups.
+"""Content hashes of shaders: materials with equal hashes give equal renders.
 
-Names, layout and selection do not count, and a file has the same hash in every Blender version.
+Names, layout and selection of nodes do not count, and a file has the same hash in every Blender version.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ FLOAT32_TOLERANCE = 1e-6
 def hash_material(material: Any, frame: int = 1, read_file: FileReader = read_file_bytes) -> str:
     """Hash everything that a material's node tree computes, pixels of images included.
 
-    The file's working colour space counts, since colours depend on it. Nodes that feed only the viewport do not count,
+    The file's working color space counts, since colors depend on it. Nodes that feed only the viewport do not count,
     nor does data of the object or mesh (see `object_inputs.py`).
 
     Parameters
@@ -124,12 +124,12 @@ def _make_image_hash(frame: int, read_file: FileReader) -> ImageHash:
 
 
 def _describe_working_space() -> Iterator[str]:
-    """Yield the working colour space, except for the default one, which older versions do not name."""
+    """Yield the working color space, except for the default one, which older versions do not name."""
     yield from filter(None, [compat.working_space()])
 
 
 def _iter_tree_values(tree: Any, visited: set[str], image_hash: ImageHash) -> Iterator[str]:
-    """Yield a tree's nodes in the order of their names, which identify the ends of links, and its links."""
+    """Yield a node tree's nodes, in the order of the names by which links refer to them, and its links, as text."""
     if tree.name_full in visited:
         return
     visited.add(tree.name_full)
@@ -173,7 +173,10 @@ def _iter_simple_properties(node: Any) -> Iterator[tuple[str, str]]:
 
 
 def _iter_socket_values(node: Any) -> Iterator[tuple[str, object]]:
-    """Yield (identifier, value) of inputs, in their order; neutral values of newer inputs are left out."""
+    """Yield (identifier, value) of a node's inputs, in their order.
+
+    Inputs that newer versions of Blender added are left out while they have no effect, so that hashes stay equal.
+    """
     neutral = NEUTRAL_VALUES.get(node.bl_idname, {})
     for socket in node.inputs:
         value, name = _read_socket_value(socket), str(socket.identifier)
@@ -185,7 +188,7 @@ def _iter_socket_values(node: Any) -> Iterator[tuple[str, object]]:
 
 
 def _read_socket_value(socket: Any) -> object:
-    """Return a socket's default as a plain value."""
+    """Return a socket's default value as a plain Python value."""
     value = getattr(socket, "default_value", None)
     if value is None or isinstance(value, (int, float, str, bool)):
         return value
@@ -225,7 +228,7 @@ def _iter_special_values(node: Any, visited: set[str], image_hash: ImageHash) ->
 
 
 def _iter_active_outputs(tree: Any) -> Iterator[str]:
-    """Yield the names of active output nodes, where a tree has several of a type."""
+    """Yield the names of a tree's active output nodes, for types of output of which it has several."""
     for kind in OUTPUT_NODES:
         outputs = [node for node in tree.nodes if node.bl_idname == kind]
         if len(outputs) > 1:

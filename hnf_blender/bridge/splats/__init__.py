@@ -1,4 +1,4 @@
-"""Gaussian-splat files → a surface that can be touched, its splats as a Blender object, and close-ups of both.
+"""Gaussian-splat files → a surface mesh that can be touched, its splats as a Blender object, and close-ups of both.
 
 Read `reconstruction.py` first.
 """

@@ -1,9 +1,9 @@
-"""Splat file → reconstruction → Blender objects: the surface that is touched, with the splats as its child.
+"""Splat file → surface mesh → Blender objects: the surface that is touched, with the splats as its child.
 
 `read_reconstruction` needs no bpy, so that a thread can run it; surfaces are cached by the file's content. In the
-viewport splats are ellipsoids instanced by Geometry Nodes, with one node group per display stride, because Blender 5.2
-has no modifier inputs under the names of 4.2 to 5.0. The native splats of Blender 5.3 are not used; no such version was
-available for tests.
+viewport splats are ellipsoids instanced by Geometry Nodes. Each display stride (every n-th splat is shown) has a node
+group of its own, because Blender 5.2 does not find modifier inputs under the names of 4.2 to 5.0. The native splats of
+Blender 5.3 are not used; no such version was available for tests.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class TouchSurface:
     vertices : (V, 3) float32 array
     triangles : (T, 3) int32 array
     colour : (V, 3) float32 array
-        Linear colour.
+        Linear color.
     warnings : tuple of str
         Defects that make it poor to touch.
     """
@@ -95,7 +95,7 @@ def read_reconstruction(
     cells: int | None = None,
     progress: ProgressCallback = ignore_progress,
 ) -> Reconstruction:
-    """Read a splat file and its surface, from the cache if the surface was made before.
+    """Read a splat file and reconstruct its surface, or load the surface from the cache if it was made before.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _get_cache_path(cache: Path, path: Path, cells: int) -> Path:
 
 
 def _load_cached(cache: Path, path: Path, cells: int) -> TouchSurface | None:
-    """Load a surface from the cache; None if it is missing or damaged."""
+    """Load the surface of a splat file, made with `cells` grid cells, from the cache; None if missing or damaged."""
     try:
         with np.load(_get_cache_path(cache, path, cells), allow_pickle=False) as data:
             warnings = tuple(str(line) for line in data["warnings"])
@@ -230,9 +230,9 @@ def _add_named_attribute(nodes: Any, name: str, kind: str) -> Any:
 
 
 def _get_splat_material() -> Any:
-    """Return the unlit material of splats, with their colour and opacity.
+    """Return the unlit material of splats, with their color and opacity.
 
-    The colour is the harmonics' constant part, the mean over all viewing directions.
+    The color is the constant term of the spherical harmonics, the mean over all viewing directions.
     """
     import bpy
 
@@ -331,7 +331,7 @@ def _create_mesh(name: str, surface: TouchSurface) -> Any:
 
 
 def _compute_upright_rotation(up: tuple[float, float, float]) -> Any:
-    """Return the shortest rotation from `up` to +z; about x if it points straight down."""
+    """Return the shortest rotation from the unit vector `up` to +z; about x if `up` points straight down."""
     from mathutils import Quaternion, Vector
 
     if up[2] < -0.999999:

@@ -1,6 +1,7 @@
-"""Close-ups of a reconstructed surface: colour and depth of a patch from its splats, faces from rays on the surface.
+"""Close-ups of a reconstructed surface: color and depth of a patch from its splats, faces from rays on the mesh.
 
-This is the counterpart of `bridge/render/closeup.py` for surfaces with splats instead of a shader.
+A patch is a square of surface. This is the counterpart of `bridge/render/closeup.py` for surfaces with splats instead
+of a shader.
 """
 
 from __future__ import annotations
@@ -40,17 +41,18 @@ than this, or than the resolved wavelength if larger, are treated as another sur
 CENTRE_FRACTION = 0.25
 """Side of the central square in which the median offset is computed, as a fraction of the patch's side."""
 HALF_PASS_SIGMAS = np.pi * np.sqrt(2.0 / np.log(2.0))
-"""Wavelength, in standard deviations, of which a Gaussian passes half: exp(−2 π² σ² / λ²) = ½ at λ = 5.34 σ."""
+"""Wavelength λ whose contrast is halved by a Gaussian, in its σ: exp(−2 π² σ² / λ²) = ½ at λ = 5.34 σ."""
 FINEST_AREA_FRACTION = 0.1
 """Fraction of a patch's visible area whose splats must be as fine as its resolution."""
 MAX_DEPTH_SIGMAS = 2.0
-"""Maximum depth of a visible splat's centre behind the surface, in its standard deviations along the view."""
+"""Maximum depth of a visible splat's center behind the surface, in its standard deviations along the view."""
 PIXELS_PER_WAVELENGTH = 8
-"""Pixels per shortest wavelength that splats show; widening splats to a pixel then costs at most a tenth of it."""
+"""Pixels per shortest wavelength that splats show; the minimum splat width of one pixel then costs a tenth of it at
+most."""
 
 
 class SplatCloseUpRenderer:
-    """Renderer of close-ups of one object's patches from its splats; a context manager.
+    """Context manager that renders close-ups of patches (squares of surface) of one object from its splats.
 
     The splats are read for the first patch and released on exit. A patch is rendered with APPEARANCE_PIXELS first, and
     again if its splats resolve more.
@@ -118,7 +120,7 @@ class SplatCloseUpRenderer:
 
 @dataclass(frozen=True)
 class _SplatScene:
-    """Splats with their frame and source, and the part of the surface in reach of the patches."""
+    """Splats, the file they are from and their frame, and the part of the surface mesh near the patches."""
 
     surface: Surface
     caster: RayCaster
@@ -128,7 +130,10 @@ class _SplatScene:
 
 
 def choose_splat_resolution(unlit: UnlitImage | None, patch: Patch, min_pixels: int, max_pixels: int) -> int:
-    """Return the image side [pixels] at which a patch shows all that its splats resolve."""
+    """Return the image side [pixels], within the limits given, at which a patch shows all that its splats resolve.
+
+    `unlit` is the image of a first render with `min_pixels`, None if that showed nothing.
+    """
     if unlit is None:
         return min_pixels
     # If the pixels of the first pass limited its resolution, the splats may show more.
@@ -140,7 +145,7 @@ def choose_splat_resolution(unlit: UnlitImage | None, patch: Patch, min_pixels: 
 
 @dataclass(frozen=True)
 class _SplatPatch:
-    """A patch with its rays; `clip_start` is the camera's near clipping distance [m]."""
+    """A patch with the rays cast on its mesh; `clip_start` is the camera's near clipping distance [m]."""
 
     patch: Patch
     clip_start: float
@@ -189,9 +194,10 @@ def _render_closeup(splat_patch: _SplatPatch, pixels: int) -> CloseUp:
 def compute_surface_distance(
     depth: NDArray[np.floating[Any]], reference: NDArray[np.floating[Any]], visible: Mask
 ) -> Float:
-    """Return the distance (H, W) [m] of splat depths from reference depths, inf where unknown.
+    """Return the absolute distance (H, W) [m] between the depth of splats and of the mesh, inf where unknown.
 
-    The median offset in the middle of the image is removed first. All arrays are (H, W).
+    `depth` and `reference` are their depths [m], `visible` masks the pixels to compare; all are (H, W). The median
+    offset in the middle of the image is removed first, since splats may lie before or behind their mesh as a whole.
     """
     known = visible & np.isfinite(reference)
     offset = np.full(depth.shape, np.inf)
@@ -215,11 +221,12 @@ def fill_pinholes(
     resolved_m: float,
     pixel_m: float,
 ) -> tuple[Mask, NDArray[np.float32], NDArray[np.float32]]:
-    """Return `visible`, `linear` and `depth` with the gaps between splats filled from around them.
+    """Return `visible`, `linear` and `depth` with the gaps between splats filled from the pixels around them.
 
-    Views for D_φ must lie entirely inside the mask, and splats seldom cover every pixel. A gap inside `patch_mask` is
-    filled if it is narrower than the image resolves: the mean opacity over a square of half the resolved wavelength is
-    at least MIN_SURFACE_OPACITY. All arrays are (H, W), `linear` is (H, W, 3).
+    The network D_φ, which predicts a relief, needs views entirely inside the mask, and splats seldom cover every pixel.
+    A gap inside `patch_mask` is filled if it is narrower than the image resolves: the mean opacity over a square of
+    half the resolved wavelength is at least MIN_SURFACE_OPACITY. All arrays are (H, W), the linear color `linear` is
+    (H, W, 3).
     """
     side = int(np.clip(resolved_m / 2.0 / pixel_m, 1, min(visible.shape))) if np.isfinite(resolved_m) else 1
     holes = patch_mask & ~visible & (_compute_box_mean(opacity, side) >= MIN_SURFACE_OPACITY)
@@ -232,7 +239,7 @@ def fill_pinholes(
 
 
 def _compute_box_mean(values: NDArray[np.floating[Any]], side: int) -> Float:
-    """Return means (H, W) over squares of about `side` pixels, cropped at the borders."""
+    """Return moving averages of `values` (H, W) over squares of `side` pixels, which are cropped at the borders."""
     half = side // 2
     total = np.pad(np.cumsum(np.cumsum(values, axis=0, dtype=np.float64), axis=1), ((1, 0), (1, 0)))
     (top, bottom), (left, right) = (
@@ -246,9 +253,10 @@ def _compute_box_mean(values: NDArray[np.floating[Any]], side: int) -> Float:
 def compute_splat_resolution(splats: Splats, splat_view: SplatView, mask: Mask) -> float:
     """Return the shortest wavelength that splats show of a patch, in the unit of their camera; inf without splats.
 
-    It is the wavelength that passes the finest splats, which together make up FINEST_AREA_FRACTION of the visible area.
-    A splat's fineness is its narrower side in the image, its weight is opacity times area. Visible are those whose
-    centre is under `mask` and at most MAX_DEPTH_SIGMAS behind the surface.
+    The splats are ordered by their narrower standard deviation in the image. The finest ones that together make up
+    FINEST_AREA_FRACTION of the visible area determine the wavelength, of which they pass half (HALF_PASS_SIGMAS). A
+    splat's weight is opacity times area. Visible are those whose center is under `mask` (H, W) and at most
+    MAX_DEPTH_SIGMAS behind the surface.
     """
     camera = splat_view.camera
     scale = float(camera.intrinsics[0, 0])
@@ -273,9 +281,10 @@ def compute_splat_resolution(splats: Splats, splat_view: SplatView, mask: Mask) 
 
 
 def _project_extents(splats: Splats, rotation: Float) -> tuple[Float, Float, Float]:
-    """Return splats' standard deviations (N,) in an orthographic view with a `rotation` (camera → frame).
+    """Return the standard deviations (N,) of splats in an orthographic view, along three axes.
 
-    They are along the long and the short axis of the projected ellipse, and along the view.
+    The axes are the long and the short axis of the ellipse in the image, and the viewing direction. `rotation` (3, 3)
+    is camera → frame of the splats.
     """
     right, down, forward = (
         np.stack(row) for row in transform_to_principal_axes(splats, np.arange(len(splats)), rotation.T.tolist())
@@ -319,14 +328,14 @@ def limit_resolution(closeup: CloseUp) -> CloseUp:
 
 
 def _upsample(values: NDArray[Any], camera: Camera) -> NDArray[Any]:
-    """Resample (h, w) values of rays to the (H, W) pixels of a camera, by the nearest ray."""
+    """Resample values (h, w) per ray to the (H, W) pixels of a camera, by the nearest ray."""
     rows = (np.arange(camera.height) * values.shape[0]) // camera.height
     columns = (np.arange(camera.width) * values.shape[1]) // camera.width
     return np.asarray(values[rows[:, None], columns])
 
 
 def _downsample_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
-    """Resample a mask (H, W) to the (h, w) rays: true if any pixel of a ray is."""
+    """Resample a mask (H, W) of pixels to the coarser grid of rays (h, w): true if any pixel of a ray is."""
     rows = (np.arange(mask.shape[0]) * shape[0]) // mask.shape[0]
     columns = (np.arange(mask.shape[1]) * shape[1]) // mask.shape[1]
     small = np.zeros(shape, dtype=np.bool_)

@@ -1,8 +1,8 @@
 """Splats ↔ Blender: a mesh with one vertex per Gaussian, and the file's values as named attributes.
 
-A mesh is used because the point clouds of Blender 4.2 to 5.0 cannot be given a number of points. The surface refers to
-its cloud by an ID property, which survives renaming, saving and appending. `CloudFrame` converts between the cloud's
-frame and the surface frame of strokes, patches and cameras.
+This object is called the cloud. A mesh is used because the point clouds of Blender 4.2 to 5.0 cannot be given a number
+of points. The surface refers to its cloud by an ID property, which survives renaming, saving and appending.
+`CloudFrame` converts between the cloud's frame and the surface frame of strokes, patches and cameras.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ COEFFICIENT_COUNTS = (1, 4, 9, 16)
 
 
 def create_cloud(name: str, splats: Splats, source: str) -> Any:
-    """Create an object with a vertex per splat, in no scene yet.
+    """Create the cloud, a mesh object with a vertex per splat, in no scene yet.
 
     It is hidden in renders and cannot be selected, since the surface is what is touched. `source` is the file's name,
     for the report.
@@ -61,7 +61,7 @@ def create_cloud(name: str, splats: Splats, source: str) -> Any:
 
 
 def read_cloud(cloud: Any) -> Splats:
-    """Read a cloud's splats, bit for bit as stored, with later changes.
+    """Read the splats stored in a cloud object, bit for bit, with changes made since in Blender.
 
     Raises SceneError if an attribute is missing, of another type, or invalid.
     """
@@ -101,7 +101,10 @@ def is_cloud(obj: Any) -> bool:
 
 
 def link_cloud(surface: Any, cloud: Any, notes: Sequence[str] = ()) -> None:
-    """Make `surface` the touchable surface of a cloud, which becomes its child; `notes` are remarks for the user."""
+    """Make `surface` the mesh that is touched in place of a cloud of splats, which becomes its child.
+
+    `notes` are remarks for the user, stored with it.
+    """
     surface[CLOUD_PROPERTY] = cloud
     surface[NOTES_PROPERTY] = "\n".join(notes)
     cloud.parent = surface
@@ -135,7 +138,7 @@ def get_reconstruction_notes(surface: Any) -> tuple[str, ...]:
 
 
 def hash_cloud(surface: Any, cloud: Any) -> str:
-    """Hash all that a close-up shows of a surface's splats: values, placement on the surface, file name.
+    """Hash all that a close-up shows of a surface's splats: values, placement on the surface, name of the splat file.
 
     Names of objects and the surface's placement in the world do not count. 128 bits, hexadecimal.
     """
@@ -159,7 +162,7 @@ def hash_cloud(surface: Any, cloud: Any) -> str:
 
 
 def get_cloud_placement(surface: Any, cloud: Any) -> Float:
-    """Return the matrix (4, 4) surface's object space ← cloud.
+    """Return the matrix (4, 4) from the cloud's frame to the surface's object space.
 
     If the cloud is the child of its surface, this is its offset from the parent: nothing is evaluated, so it works for
     a hidden cloud, and moving both changes no bit. Otherwise it follows from both world matrices.
@@ -171,9 +174,9 @@ def get_cloud_placement(surface: Any, cloud: Any) -> Float:
 
 
 def write_point_tokens(cloud: Any, tokens: PointTokens) -> None:
-    """Store tokens per splat; their palette is on the surface's mesh.
+    """Store baked tokens per splat; the palette that they index is on the surface's mesh.
 
-    Raises SceneError like `require_writable`, and if the number of splats differs.
+    Raises SceneError if the cloud is linked or in Edit Mode, or if the number of splats differs.
     """
     mesh = cloud.data
     require_writable(cloud)
@@ -188,7 +191,10 @@ def write_point_tokens(cloud: Any, tokens: PointTokens) -> None:
 
 
 def remove_point_tokens(cloud: Any) -> int:
-    """Remove the tokens; return the bytes freed. Raises SceneError like `require_writable`."""
+    """Remove the baked tokens from a cloud; return the bytes freed.
+
+    Raises SceneError if the cloud is linked or in Edit Mode.
+    """
     require_writable(cloud)
     mesh, freed = cloud.data, 0
     for name in (TOKEN_ATTRIBUTE, CONFIDENCE_ATTRIBUTE):
@@ -213,7 +219,7 @@ def require_writable(cloud: Any) -> None:
 
 
 def _list_harmonics(mesh: Any) -> list[int]:
-    """Return the indices of the mesh's harmonics, from 0 up to the first gap."""
+    """Return the indices of the spherical-harmonics attributes of the mesh, from 0 up to the first gap."""
     pattern = re.compile(HARMONIC_ATTRIBUTE.format(r"(\d+)"))
     present = {int(match[1]) for name in mesh.attributes.keys() if (match := pattern.fullmatch(name))}  # noqa: SIM118
     return list(range(next(number for number in range(len(present) + 1) if number not in present)))
@@ -287,9 +293,10 @@ class CloudFrame:
 
 
 def compute_cloud_frame(obj: Any, cloud: Any, stretch: Float) -> CloudFrame:
-    """Compute the frame of a surface's splats.
+    """Compute the transformation from a surface's splats to its surface frame.
 
-    `stretch` is that of the Surface. Raises SceneError if the splats are scaled unevenly or mirrored.
+    `stretch` (3, 3) is that of its Surface: surface frame [m] ← object space. Raises SceneError if the splats are
+    scaled unevenly or mirrored.
     """
     placement = get_cloud_placement(obj, cloud)
     linear = stretch @ placement[:3, :3]
@@ -300,7 +307,7 @@ def compute_cloud_frame(obj: Any, cloud: Any, stretch: Float) -> CloudFrame:
 
 
 def get_uniform_scale(matrix: Float, where: str) -> float:
-    """Return k of a matrix (3, 3) = k · rotation.
+    """Return the scale k of a matrix (3, 3) that is k times a rotation.
 
     Raises SceneError for any other matrix, since Gaussians of a stretched or mirrored cloud differ from those trained.
     """

@@ -24,7 +24,7 @@ from ..scene.temp_scene import TemporaryScene, get_parent_chain, preserve_animat
 Float = NDArray[np.float64]
 
 EXACT_INTERPOLATIONS = {CONSTANT, LINEAR, BEZIER}
-"""Interpolation types that FCurve evaluates exactly."""
+"""F-curve interpolation types that this project evaluates exactly in numpy."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Channel:
 
 
 def read_channel(obj: Any, name: str, scene: Any) -> Channel:
-    """Find out how a property of obj.hnf_stroke gets its value.
+    """Find out whether the property `name` of a stroke (obj.hnf_stroke) is constant, keyframed or driven.
 
     Raises StrokeError for a driver that cannot be evaluated apart from its scene, and for keyframes that are not
     numbers, naming the frame.
@@ -108,7 +108,10 @@ def _sample_fcurve(fcurve: Any, frames: Float) -> Float:
 
 
 def _evaluate_driven(obj: Any, scene: Any, names: list[str], frames: Float) -> dict[str, Float]:
-    """Evaluate properties in the depsgraph of a temporary scene that contains only this object."""
+    """Evaluate properties of obj.hnf_stroke by name at frames (n,).
+
+    This uses the depsgraph of a temporary scene that contains only this object.
+    """
     values = {name: np.empty(len(frames)) for name in names}
     with preserve_animated_values(scene, obj), TemporaryScene() as temporary:
         temporary.link(obj)
@@ -157,7 +160,7 @@ def _is_animating(strip: Any, path: str) -> bool:
 
 
 def _find_fcurve(obj: Any, path: str) -> Any:
-    """Return the F-curve that animates a property, or None."""
+    """Return the F-curve that animates the property at data path `path`, or None."""
     return next(
         (
             fcurve
@@ -169,7 +172,7 @@ def _find_fcurve(obj: Any, path: str) -> Any:
 
 
 def _read_keyframes(fcurve: Any, name: str) -> Float:
-    """Return a property (k, 2) of all keyframes of an F-curve."""
+    """Return an attribute of all k keyframes of an F-curve, such as "co", as (frame, value) pairs (k, 2)."""
     values = np.empty(len(fcurve.keyframe_points) * 2, dtype=np.float32)
     fcurve.keyframe_points.foreach_get(name, values)
     return values.reshape(-1, 2).astype(np.float64)
@@ -262,7 +265,7 @@ def sample_world_matrices(scene: Any, objects: tuple[Any, ...], frames: Float) -
 def sample_shapes(
     obj: Any, scene: Any, mesh: TriangleMesh, frames: Float, seconds: Float, metres_per_unit: float
 ) -> DeformingMesh | None:
-    """Sample a deforming surface's vertices in its own frame [m].
+    """Sample the vertices [m] of a deforming surface over time, in the surface frame (its own with scale applied).
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from .read_stroke import get_motion_end
 
 
 def make_keys_single_user(stroke: Any) -> None:
-    """Give a stroke whose action has other users (Alt D) a copy of it, so that edits do not affect them.
+    """Give a stroke that shares its action with others (Alt D) a copy of it, so that edits do not affect them.
 
     Raises StrokeError if the keyframes are linked from another file.
     """
@@ -34,7 +34,7 @@ def make_keys_single_user(stroke: Any) -> None:
 
 
 KEYED_PATHS = frozenset({"hnf_stroke.force", "hnf_stroke.progress"})
-"""Data paths of the properties that move with a stroke's start."""
+"""Data paths of the properties whose keyframes are shifted with a stroke's start."""
 
 
 def find_keyed_curves(stroke: Any) -> list[Any]:
@@ -43,7 +43,7 @@ def find_keyed_curves(stroke: Any) -> list[Any]:
 
 
 def set_start_frame(stroke: Any, frame: float) -> None:
-    """Set a stroke's start, and shift the keyframes of its force and progress by as much.
+    """Set a stroke's start frame, and shift the keyframes of its force and progress by the same number of frames.
 
     An action with other users is copied first. Raises StrokeError if the keyframes are linked or in the NLA.
     """
@@ -76,7 +76,7 @@ COPIED_KEY_ATTRIBUTES = (
     "handle_right_type",
     "type",
 )
-"""Attributes of a keyframe that are copied besides its points."""
+"""Attributes of a keyframe that are copied besides its coordinates and handles."""
 
 
 def find_force_curve(stroke: Any) -> Any:
@@ -154,7 +154,8 @@ def copy_force(source: Any, target: Any, scene: Any, metres_per_unit: float, *, 
 class _Keyframe(NamedTuple):
     """Values of a keyframe, which remain valid when its F-curve is deleted.
 
-    `points` are its own coordinates and those of its two handles, `attributes` the values of COPIED_KEY_ATTRIBUTES.
+    `points` are the (frame, value) coordinates of the keyframe and its two handles, `attributes` the values of
+    COPIED_KEY_ATTRIBUTES.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -172,7 +173,10 @@ def _read_keys(curve: Any) -> list[_Keyframe]:
 
 
 def _move_keys(keys: list[_Keyframe], frame: Callable[[float], float]) -> list[_Keyframe]:
-    """Move keyframes in time by `frame`; of keyframes that become too close the later one is used."""
+    """Move keyframes in time by the function `frame` (old frame → new frame).
+
+    Of keyframes that become closer than MIN_KEY_FRAMES the later one is used.
+    """
     moved: list[_Keyframe] = []
     for key in keys:
         points = tuple((frame(x), y) for x, y in key.points)

@@ -31,8 +31,8 @@ STRAIGHT_COSINE = 1.0 - 1e-6
 def create_bezier_object(name: str, points: Float, left: Float, right: Float, *, cyclic: bool = False) -> Any:
     """Create a curve object with one Bézier spline, not linked to any collection yet.
 
-    Knots and handles are (k, 3), in its own coordinates. Collinear handles are aligned, so that editing keeps the curve
-    smooth; the others are free.
+    Its k control points and their left and right handles are (k, 3), in its own coordinates. Collinear handles are
+    aligned, so that editing keeps the curve smooth; the others are free.
     """
     import bpy
 
@@ -52,13 +52,16 @@ def create_bezier_object(name: str, points: Float, left: Float, right: Float, *,
 
 
 def _find_straight_knots(before: Float, after: Float) -> NDArray[np.bool_]:
-    """Return a mask of the knots whose handles are collinear."""
+    """Return a mask of the spline's control points whose two handles are collinear.
+
+    `before` and `after` (k, 3) are the handles relative to the point.
+    """
     size = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
     return np.asarray((before * after).sum(axis=1) > STRAIGHT_COSINE * size)
 
 
 def attach_to_surface(stroke: Any, surface: Any, scene: Any) -> None:
-    """Make a curve object a stroke on a surface object: its child, in the scene's collection of strokes.
+    """Make a curve object a stroke on a surface object: its child, in the collection "Touch strokes".
 
     The stroke's coordinates are then those of the surface object.
     """
@@ -102,7 +105,8 @@ def unhide_collection(stroke: Any, view_layer: Any) -> bool:
 def insert_keys(stroke: Any, name: str, keys: Keyframes, start: float, per_second: float) -> None:
     """Insert keyframes of a property of hnf_stroke.
 
-    Handles are at a third of each interval, which makes the F-curve exactly the keys' cubic.
+    Handles are at a third of each interval, so that the F-curve is exactly the cubic that the keys' values and slopes
+    define.
 
     Parameters
     ----------
@@ -142,7 +146,7 @@ def insert_keys(stroke: Any, name: str, keys: Keyframes, start: float, per_secon
 
 @dataclass(frozen=True)
 class DrawnStroke:
-    """A stroke drawn by hand: the new object, and the fitted pen stroke it was made of."""
+    """A stroke drawn by hand: the new curve object, and the pen stroke fitted to the samples, which it shows."""
 
     obj: Any
     pen_stroke: PenStroke
@@ -234,7 +238,10 @@ def create_drawn_stroke(
 def _make_surface_projector(
     evaluated: Any, to_world: Float, from_world: Float, metres: float
 ) -> Callable[[Float], Float]:
-    """Return a function that projects world points (n, 3) [m] onto the evaluated object."""
+    """Return a function that projects world points (n, 3) [m] to the nearest points of the evaluated object.
+
+    `to_world` and `from_world` (4, 4) convert from and to object space, `metres` is the length of a Blender unit [m].
+    """
 
     def project(points: Float) -> Float:
         local = points / metres @ from_world[:3, :3].T + from_world[:3, 3]
@@ -250,7 +257,7 @@ def _make_surface_projector(
 def mask_points_near_surface(
     points: Float, surface: Any, depsgraph: Any, metres_per_unit: float, within_m: float
 ) -> Any:
-    """Return a mask (n,) of the world points (n, 3) [Blender units] within `within_m` of a surface [m]."""
+    """Return a mask (n,) of the world points (n, 3) [Blender units] that are at most `within_m` [m] from a surface."""
     evaluated = surface.evaluated_get(depsgraph)
     to_world = np.array(evaluated.matrix_world, dtype=np.float64)
     from_world = np.linalg.inv(to_world)

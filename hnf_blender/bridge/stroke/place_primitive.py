@@ -1,4 +1,4 @@
-"""Place primitives on surfaces as editable stroke objects.
+"""Place primitives (predefined strokes, such as left to right or a circle) on surfaces, as editable stroke objects.
 
 Of the places on a material slot where a primitive's path fits, the first is used that is free above, is no underside,
 and leaves room for a hand.
@@ -14,15 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.action.curves import build_arc_curve, compute_smooth_handles, make_smooth_curve
-from hnf_core.action.primitives import (
-    DEFAULT_PRIMITIVE,
-    DEFAULT_PRIMITIVE_DOWN,
-    Primitive,
-    find_primitive,
-    make_path_curve,
-    make_primitive_keyframes,
-    make_primitive_path,
-)
+from hnf_core.action.primitive_path import make_path_curve, make_primitive_keyframes, make_primitive_path
+from hnf_core.action.primitives import DEFAULT_PRIMITIVE, DEFAULT_PRIMITIVE_DOWN, Primitive, find_primitive
 from hnf_core.action.stroke_placement import (
     OPENNESS_M,
     PATH_SIZE_MARGIN,
@@ -43,7 +36,7 @@ Float = NDArray[np.float64]
 SurfaceGetter = Callable[[Any], Surface]
 
 KNOT_SPACING_M = 2e-3
-"""Distance between the curve's knots [m]: close enough to follow a surface, few enough to edit."""
+"""Distance between the curve's control points [m]: close enough to follow a surface, few enough to edit."""
 MAX_TRIED_SPOTS = 400
 """Maximum number of places that are checked for obstruction."""
 UNDERSIDE_COSINE = -0.5
@@ -52,7 +45,7 @@ UNDERSIDE_COSINE = -0.5
 
 @dataclass(frozen=True)
 class PlacedStroke:
-    """A primitive placed on a surface.
+    """A primitive (predefined stroke) placed on a surface.
 
     Attributes
     ----------
@@ -136,7 +129,7 @@ def place_primitive(
     name: str = "",
     surfaces: SurfaceGetter | None = None,
 ) -> PlacedStroke:
-    """Create a stroke object with a primitive at the best place of a material slot.
+    """Create a stroke object with a primitive (predefined stroke) at the best place of a material slot.
 
     The curve is a child of `obj`, lies on its surface, and has keyframes of force and progress that can be edited. Left
     to right runs along the surface's tangent.
@@ -232,7 +225,10 @@ def _compute_slot_areas(surface: Surface) -> Float:
 
 
 def _sample_planar_path(primitive: Primitive, size_m: float, seed: int) -> tuple[Float, bool]:
-    """Return a primitive's path as knots (k, 2) about KNOT_SPACING_M apart, and whether it is closed."""
+    """Return a primitive's path in the plane as points (k, 2) [m], and whether it is closed.
+
+    The points are about KNOT_SPACING_M apart.
+    """
     path = make_primitive_path(primitive, size_m=size_m, seed=seed)
     curve = make_path_curve(path)
     count = max(8, int(np.ceil(curve.length / KNOT_SPACING_M)))
@@ -243,7 +239,7 @@ def _sample_planar_path(primitive: Primitive, size_m: float, seed: int) -> tuple
 def _find_best_spot(
     surface: Surface, caster: RayCaster, slot: int, primitive: Primitive, seed: int, neighbours: _Neighbours
 ) -> Placement | None:
-    """Return the first place whose entire path stays on the slot and is not obstructed, or None.
+    """Return the first place for a primitive whose entire path stays on the material slot unobstructed, or None.
 
     If none of MAX_TRIED_SPOTS is free, the least obstructed one is returned (see `_grade_obstruction`).
     """
@@ -267,10 +263,10 @@ def _find_best_spot(
 
 
 def _grade_obstruction(spot: Placement, points: Float, surface: Surface, neighbours: _Neighbours) -> int:
-    """Grade how a place is obstructed, 0 (free) to 3.
+    """Grade how a place for a stroke is obstructed, from 0 (free) to 3; `points` (k, 3) are its path [m].
 
     0: free above as far as the object itself allows, and no underside. 1: something farther away faces it, as inside a
-    shell. 2: an underside. 3: a neighbour is in the hand's way.
+    shell. 2: an underside. 3: another object is in the hand's way.
     """
     if not neighbours.is_free_above(points, spot.normal, min(spot.openness_m, OPENNESS_M[1])):
         return 3
@@ -321,7 +317,7 @@ class _Neighbours:
         )
 
     def _is_hit(self, other: Any, start: Float, offset: Float) -> bool:
-        """Return True if an object is hit by a ray from one of the world points [m] to its offset."""
+        """Return True if a ray from one of the world points `start` (k, 3) along `offset` (3,) [m] hits a mesh."""
         if len(other.data.polygons) == 0:
             return False
         world = np.array(other.matrix_world, dtype=np.float64)

@@ -133,7 +133,8 @@ def _refuse_moved_points(obj: Any, where: str) -> None:
 
 
 MAX_COUNTED_DISTANCE_M = 20e-3
-"""Maximum distance that counts [m], so that a segment off the surface does not favour another object."""
+"""Distance to a surface beyond which a curve's point counts no more [m], so that a part that leaves the surface does
+not make another object the nearest."""
 BOX_CHUNK = 256
 """Number of boxes whose distances are computed at once; bounds the memory."""
 
@@ -211,7 +212,10 @@ def _mean_capped_distance(distance: Float) -> Float:
 
 
 def _bound_box_distances(points: Float, low: Float, high: Float) -> Float:
-    """Return lower bounds (n,) of the mean capped distance of points (k, 3) to boxes (n, 3), (n, 3)."""
+    """Return lower bounds (n,) of the mean capped distance from points (k, 3) to what n boxes contain.
+
+    `low` and `high` (n, 3) are the boxes' corners; distances are capped at MAX_COUNTED_DISTANCE_M.
+    """
     bounds = np.empty(len(low))
     for start in range(0, len(low), BOX_CHUNK):
         chunk = slice(start, start + BOX_CHUNK)
@@ -231,7 +235,7 @@ HASH_STEP, HASH_OFFSET = 1e-7, 0.381966
 
 @dataclass(frozen=True)
 class SceneStroke:
-    """One stroke, read from the scene.
+    """One stroke, read from the scene: a curve on a surface with its motion and force.
 
     Attributes
     ----------
@@ -268,7 +272,7 @@ class SceneStroke:
     notes: tuple[str, ...] = ()
 
     def get_surface(self, mesh: TriangleMesh) -> TriangleMesh | DeformingMesh:
-        """Return the deforming shapes if there are any, else `mesh`; the argument of `find_contacts`."""
+        """Return the surface's shapes over time if it deforms, else `mesh`: the surface on which contacts are found."""
         return mesh if self.deforming is None else self.deforming
 
 
@@ -366,9 +370,9 @@ def read_stroke(
 
 
 def to_quantised_bytes(values: NDArray[np.floating[Any]]) -> bytes:
-    """Quantise values to HASH_STEP and return their bytes for a hash.
+    """Quantize values to HASH_STEP and return their bytes for a hash.
 
-    The last bits of a computation, which differ between numpy versions, do not change them. Changes of more than
+    The last bits of a computation, which differ between numpy versions, do not change the bytes. Changes of more than
     HASH_STEP always do.
     """
     # Without the offset, round numbers such as 0.00000005 would be at a step, where rounding decides.
@@ -377,7 +381,7 @@ def to_quantised_bytes(values: NDArray[np.floating[Any]]) -> bytes:
 
 
 def hash_path(stroke: SceneStroke) -> str:
-    """Hash a stroke's path, timing and object: everything but force, seed, probe and material."""
+    """Hash a stroke's path, timing and touched object: everything but force, seed, probe and material."""
     samples = stroke.samples
     arrays = [samples.time, samples.point, samples.tangent, samples.position, samples.velocity]
     parts = [to_quantised_bytes(array) for array in arrays]
@@ -387,7 +391,7 @@ def hash_path(stroke: SceneStroke) -> str:
 
 
 def hash_touch(stroke: SceneStroke, seed: int) -> str:
-    """Hash how a stroke presses: its force, its probe, and the seed used."""
+    """Hash how a stroke presses: its force, its probe, and the seed of its noise."""
     return content_hash(to_quantised_bytes(stroke.samples.force), str(seed), stroke.probe)
 
 
@@ -400,7 +404,10 @@ def _find_surface_object(
     metres_per_unit: float,
     where: str,
 ) -> Any:
-    """Return the stroke's chosen surface, or the nearest; raise SceneError if it is hidden or not in the scene."""
+    """Return the surface object that the user chose for a stroke, or the one nearest to its curve.
+
+    Raises SceneError if the chosen one is hidden or not in the scene.
+    """
     chosen = obj.hnf_stroke.surface
     if chosen is None:
         world = np.array(obj.evaluated_get(depsgraph).matrix_world, dtype=np.float64)
@@ -425,9 +432,9 @@ def _find_surface_object(
 def _sample_placements(
     obj: Any, target: Any, scene: Any, depsgraph: Any, frames: Float, metres_per_unit: float, moving: bool
 ) -> Float:
-    """Return the placement (n, 4, 4) of the curve's object in the surface frame [m], at frames (n,).
+    """Return the matrices (n, 4, 4) from the curve's object space to the surface frame [m], at frames (n,).
 
-    If nothing moves it is (1, 4, 4), as it is now.
+    If `moving` is false there is only one, (1, 4, 4), that of now.
     """
     if moving:
         curve_world, target_world = sample_world_matrices(scene, (obj, target), frames)
@@ -450,9 +457,10 @@ def _sample_placements(
 def choose_motion_profile(
     group: Any, length_m: float, channels: tuple[Channel, Channel], start: float, frame_s: float, where: str
 ) -> tuple[str, float]:
-    """Return the motion profile of a stroke and its duration [s], from its start to its last keyframe.
+    """Return the motion profile of a stroke ("SPEED", "DURATION" or "PROGRESS") and its duration [s].
 
-    Raises StrokeError if neither the profile nor keyframes define a duration.
+    The duration is from its start to its last keyframe. `group` is its obj.hnf_stroke, `frame_s` the length of a frame
+    [s]. Raises StrokeError if neither the profile nor keyframes define a duration.
     """
     force, progress = channels
     keyed_until = (max(force.last_frame, progress.last_frame) - start) * frame_s
@@ -475,7 +483,11 @@ def choose_motion_profile(
 def compute_motion(
     group: Any, motion_profile: str, progress: Float, time: Float, length_m: float, rate: float
 ) -> MotionProfile:
-    """Return position [m] and velocity [m/s] along the curve at times (n,) [s]."""
+    """Return position [m] and velocity [m/s] along the curve at times (n,) [s].
+
+    `group` is the stroke's obj.hnf_stroke, `progress` (n,) the keyed fraction of the path, `rate` the sampling rate
+    [Hz].
+    """
     if motion_profile == "PROGRESS":
         return make_motion_from_progress(progress, length_m, rate)
     if motion_profile == "SPEED":
@@ -486,7 +498,10 @@ def compute_motion(
 def _make_samples(
     curve: PiecewiseBezier, arc: ArcCurve, placements: Float | None, time: Float, motion: MotionProfile, force: Float
 ) -> StrokeSamples:
-    """Sample the curve at the motion's positions; `placements` carry it along if its object moves."""
+    """Sample the curve at the motion's positions.
+
+    If the curve's object moves, `placements` (n, 4, 4) are its matrices to the surface frame at these times, else None.
+    """
     point, tangent = arc.point_at(motion.position), arc.tangent_at(motion.position)
     moving = placements is not None and _has_motion(placements)
     if placements is not None and moving:
@@ -502,7 +517,7 @@ def _make_samples(
 
 
 def _has_motion(placements: Float) -> bool:
-    """Return True if placements (n, 4, 4) differ by more than rounding."""
+    """Return True if placement matrices (n, 4, 4) differ by more than rounding."""
     change = np.abs(placements - placements[0]).max()
     return bool(change > MOTION_TOLERANCE * max(1.0, float(np.abs(placements).max())))
 
@@ -536,7 +551,8 @@ class StrokeTimeline:
 def sample_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = TIMELINE_RATE_HZ) -> StrokeTimeline:
     """Sample a stroke's motion and force at a rate [Hz], without its surface.
 
-    Drivers and the NLA count with their current value. Raises StrokeError like `read_stroke`.
+    Values from drivers and the NLA stay as they are now. Raises StrokeError if the curve, its keyframes or its timing
+    are invalid.
     """
     group, where = obj.hnf_stroke, f"stroke '{obj.name}'"
     world = np.array(obj.matrix_world, dtype=np.float64)
@@ -553,7 +569,7 @@ def sample_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = 
 
 
 def get_motion_end(obj: Any, scene: Any, metres_per_unit: float) -> float:
-    """Return the frame at which a stroke's motion ends, whatever its force does.
+    """Return the frame at which a stroke's motion ends, even if its force is keyed for longer.
 
     This is the last keyframe of progress, or the end of the motion profile.
     """
@@ -568,7 +584,7 @@ def get_motion_end(obj: Any, scene: Any, metres_per_unit: float) -> float:
 
 
 def _ignore_drivers(channel: Channel) -> Channel:
-    """Return a driven channel as if it were not animated.
+    """Return a driven property (channel) of a stroke as if it were not animated.
 
     Evaluating drivers needs a temporary scene, which is too slow for a redraw.
     """

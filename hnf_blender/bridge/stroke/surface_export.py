@@ -1,6 +1,6 @@
 """Read a baked object and a stroke's path over it, for exports that bind touch to geometry.
 
-Nothing is rendered; faces that were not baked have no token.
+Nothing is rendered; faces that were not baked have no token (description of the material's micro-geometry).
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def read_touched_surface(
 
 
 def make_stroke_path(contacts: Contacts) -> StrokePath:
-    """Return the distance travelled over the material [m], and the triangles pressed, over time."""
+    """Return, over time, the distance that the tip traveled over the material [m] and the triangles it pressed."""
     speed = np.linalg.norm(contacts.velocity, axis=1)
     steps = np.diff(contacts.time) * (speed[1:] + speed[:-1]) / 2.0
     pressed = contacts.on_surface & (contacts.force > 0.0)
@@ -84,7 +84,7 @@ def make_stroke_path(contacts: Contacts) -> StrokePath:
 def find_surface_in_scene(
     scene: Any, depsgraph: Any, metres_per_unit: float, provenance: Mapping[str, str], object_name: str | None
 ) -> TouchedSurface:
-    """Find the surface on which a signal was recorded, by its provenance.
+    """Find the surface on which a signal was synthesized, by the stroke and object named in its provenance.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def find_surface_in_scene(
 
 
 def _make_touched_surface(surface: Surface, tokens: FaceTokens | None) -> TouchedSurface:
-    """Map faces' tokens to triangles; faces that a modifier created get none."""
+    """Combine a surface with its baked tokens per triangle; faces that a modifier created get none."""
     count = len(surface.mesh.triangles)
     index = np.full(count, UNTOUCHED, dtype=np.int32)
     roughness, confidence = np.zeros(count, np.float32), np.zeros(count, np.float32)

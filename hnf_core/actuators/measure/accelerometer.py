@@ -64,9 +64,10 @@ def make_sweep(rate_hz: float, seconds: float, low_hz: float, high_hz: float, pe
 
 
 def make_noise(rate_hz: float, seconds: float, low_hz: float, high_hz: float, peak_m_s2: float, seed: int) -> Signal:
-    """Make pink noise between `low_hz` and `high_hz` with peak `peak_m_s2`, faded at its ends.
+    """Make pink noise between `low_hz` and `high_hz` with peak `peak_m_s2` [m/s²], faded at its ends.
 
-    Parameters and errors are those of `make_sweep`; `seed` selects the noise.
+    `rate_hz` is the sample rate, `seconds` the length, `seed` selects the noise. Raises UsageError if low, high and
+    half the rate are not ascending, or the length is not within 0.5–600 s.
     """
     _check_excitation(rate_hz, seconds, low_hz, high_hz, peak_m_s2)
     count = round(rate_hz * seconds)
@@ -209,7 +210,7 @@ def measure_actuator(sink: Sink, sensor: Accelerometer, excitation: Signal, limi
 
 
 def simulate_measurement(excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
-    """Compute requested and measured acceleration of the virtual actuator's transducer, without playing."""
+    """Compute requested and measured acceleration [m/s²] of the virtual actuator's transducer, without playing."""
     device = SinkFormat(excitation.sample_rate, 1, 1, "virtual")
     requested = render_requested(excitation, device, limits)
     drive = counts_to_drive(
@@ -220,7 +221,7 @@ def simulate_measurement(excitation: Signal, limits: Limits) -> tuple[Signal, Si
 
 
 def render_requested(excitation: Signal, device: SinkFormat, limits: Limits) -> Signal:
-    """Render the acceleration that is sent to the device, at its rate."""
+    """Render the acceleration [m/s²] that the limiter lets through to the device, at the device's rate."""
     source = BufferSource(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate)
     counts = render_counts(source, device, limits)[:, 0]
     return Signal(

@@ -93,7 +93,10 @@ def make_datasheet_profile(
 
 
 def _find_range_around_peak(frequency: Float, level: Float) -> tuple[float, float]:
-    """Find the ends [Hz] of the contiguous range around the peak that is within `DATASHEET_USABLE_DB` of it."""
+    """Find the ends [Hz] of the contiguous range around the peak of `level` (n,) [dB].
+
+    All of it is within `DATASHEET_USABLE_DB` of the peak; `frequency` (n,) is in Hz.
+    """
     usable = level >= float(level.max()) - DATASHEET_USABLE_DB
     first = last = int(level.argmax())
     while first > 0 and usable[first - 1]:
@@ -184,7 +187,10 @@ def make_measured_profile(
 
 
 def find_usable_range(response: FrequencyResponse) -> tuple[float, float]:
-    """Find the ends [Hz] of the longest range that is coherent and within `MEASURED_USABLE_DB` of the median."""
+    """Find the ends [Hz] of the longest range in which a response is coherent and near its median level.
+
+    Near is within `MEASURED_USABLE_DB`.
+    """
     median = np.median(response.gain_db[response.coherence >= MIN_COHERENCE])
     usable = (response.coherence >= MIN_COHERENCE) & (response.gain_db >= median - MEASURED_USABLE_DB)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(np.int8)))

@@ -18,7 +18,7 @@ MIN_GAIN_DB = -200.0
 
 @dataclass(frozen=True, eq=False)  # comparing arrays gives no single bool
 class FrequencyResponse:
-    """Ratio of measured to requested acceleration.
+    """Ratio of measured to requested acceleration of an actuator, over frequency.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class FrequencyResponse:
             )
 
     def gain_db_at(self, frequency_hz: ArrayLike) -> Float:
-        """Interpolate the gain [dB] over log frequency, constant beyond the ends."""
+        """Interpolate the gain [dB] at frequencies [Hz], linearly over log frequency and constant beyond the ends."""
         clamped = np.maximum(np.asarray(frequency_hz, dtype=np.float64), self.frequency_hz[0])
         return np.asarray(np.interp(np.log(clamped), np.log(self.frequency_hz), self.gain_db))
 
@@ -139,9 +139,10 @@ def estimate_response(
 
 
 def find_delay_frames(requested: Float, measured: Float) -> int:
-    """Return the frames by which `measured` lags (negative if it leads): the maximum of the correlation's envelope.
+    """Return the frames by which `measured` lags `requested` (negative if it leads).
 
-    The envelope is used because a resonance turns the phase and moves the correlation's peak by part of a period.
+    This is the maximum of the envelope of their correlation, because a resonance turns the phase and moves the
+    correlation's own peak by part of a period.
     """
     size = 1 << (len(requested) + len(measured)).bit_length()
     product = np.conj(np.fft.fft(requested, size)) * np.fft.fft(measured, size)
@@ -158,7 +159,10 @@ def _align(requested: Float, measured: Float, delay: int) -> tuple[Float, Float]
 
 
 def _compute_spectra(before: Float, after: Float, window: int) -> tuple[NDArray[np.complex128], Float, Float]:
-    """Sum the cross spectrum A* G and the powers |A|² and |G|² over windows, (window // 2 + 1,) each."""
+    """Sum cross spectrum A* G and powers |A|² and |G|² over Hann windows, (window // 2 + 1,) each.
+
+    A is the spectrum of `before` (requested), G that of `after` (measured).
+    """
     taper, hop = hann_window(window), window // 4
     frames = (np.lib.stride_tricks.sliding_window_view(values, window)[::hop] for values in (before, after))
     input_spectra, output_spectra = (np.fft.rfft(frame * taper, axis=1) for frame in frames)
@@ -178,7 +182,10 @@ def _average_bins(
     low_hz: float,
     high_hz: float,
 ) -> tuple[Float, NDArray[np.complex128], Float]:
-    """Average bins in steps of 1 / `POINTS_PER_OCTAVE` octave; return frequency, complex gain and coherence."""
+    """Average DFT bins in steps of 1 / `POINTS_PER_OCTAVE` octave.
+
+    Returns frequency [Hz], complex gain and coherence, (k,) each.
+    """
     frequency = np.arange(len(power)) * rate_hz / window
     steps = np.round(POINTS_PER_OCTAVE * np.log2(np.maximum(frequency, 1e-9) / low_hz))
     inside = (frequency >= low_hz) & (frequency <= high_hz) & (power > 1e-9 * power.max())
@@ -219,7 +226,7 @@ class Resonator:
 
 
 def fit_resonance(response: FrequencyResponse) -> Resonator:
-    """Fit a resonator to a response's level, by least squares in dB weighted by coherence².
+    """Fit a resonator to the level of a response, by least squares in dB weighted by coherence².
 
     The start is the best of a grid over resonance and damping. Gauss–Newton iterations with Levenberg's damping then
     refine the logarithms of the three parameters.

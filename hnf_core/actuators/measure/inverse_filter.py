@@ -1,4 +1,4 @@
-"""Compensate an actuator's frequency response: inverse filter, its use in a stream, and the error per band."""
+"""Compensate an actuator's frequency response: inverse filter, its use while playing, and the error per band."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ FFT_OVERSAMPLING = 4
 
 
 def compute_inverse_gain(response: FrequencyResponse, range_hz: tuple[float, float], frequency_hz: Float) -> Float:
-    """Compute the filter's gain (n,) at each frequency: h / (h² + β²) of the actuator's gain h within its range.
+    """Compute the inverse filter's gain (n,) at frequencies [Hz]: h / (h² + β²) of the actuator's gain h.
 
-    The boost is at most `MAX_BOOST_DB`. Beyond the range the gain goes to 1 within an octave (in level over log f),
-    which leaves the signal unchanged there.
+    β limits the boost to `MAX_BOOST_DB`. Beyond the actuator's range the gain goes to 1 within an octave (in level over
+    log f), which leaves the signal unchanged there.
     """
     gain = 10.0 ** (response.gain_db_at(frequency_hz) / 20.0)
     level = np.log(gain / (gain**2 + REGULARISATION**2))
@@ -43,9 +43,10 @@ def compute_inverse_gain(response: FrequencyResponse, range_hz: tuple[float, flo
 
 
 def design_inverse_filter(response: FrequencyResponse, range_hz: tuple[float, float], rate_hz: float) -> Float:
-    """Design a causal minimum-phase filter (taps,) with the magnitude of `compute_inverse_gain`.
+    """Design a causal minimum-phase FIR filter (taps,) that compensates an actuator's response within a range.
 
-    Minimum phase gives the least delay, which is perceived, while phase is not.
+    Its magnitude is that of `compute_inverse_gain`. Minimum phase gives the least delay, which is perceived, while
+    phase is not.
 
     Parameters
     ----------
@@ -113,7 +114,7 @@ class CompensationFilter:
 
 
 def make_compensation(profile: ActuatorProfile, rate_hz: float, channels: int) -> tuple[CompensationFilter, ...]:
-    """Make the processors that compensate the actuator within its range; none if its response is unknown."""
+    """Make the stream processors that compensate the actuator within its range; none if its response is unknown."""
     if profile.response is None:
         return ()
     low, high = profile.range_hz or (float(profile.response.frequency_hz[0]), float(profile.response.frequency_hz[-1]))
@@ -138,7 +139,10 @@ class BandError:
 
 
 def compute_third_octave_centres(low_hz: float, high_hz: float) -> Float:
-    """Return the centres 1000 · 2^(k/3) Hz (IEC 61260-1, base two) of the bands that lie entirely within the range."""
+    """Return the centers of the third-octave bands that lie entirely within a range [Hz].
+
+    They are 1000 · 2^(k/3) Hz (IEC 61260-1, base two).
+    """
     first = int(np.ceil(BANDS_PER_OCTAVE * np.log2(low_hz / 1000.0) + 0.5 - 1e-9))
     last = int(np.floor(BANDS_PER_OCTAVE * np.log2(high_hz / 1000.0) - 0.5 + 1e-9))
     return np.asarray(1000.0 * 2.0 ** (np.arange(first, last + 1) / BANDS_PER_OCTAVE))
@@ -147,7 +151,9 @@ def compute_third_octave_centres(low_hz: float, high_hz: float) -> Float:
 def compute_band_errors(
     response: FrequencyResponse, range_hz: tuple[float, float], rate_hz: float
 ) -> tuple[BandError, ...]:
-    """Compute the level error per band, for a signal of constant power within each band.
+    """Compute the level error per third-octave band of the actuator without and with the inverse filter.
+
+    The signal has constant power within each band. Raises UsageError if the range is empty or exceeds half the rate.
 
     Raises
     ------
@@ -172,6 +178,6 @@ def compute_rms_db(values: ArrayLike) -> float:
 
 
 def find_largest_errors_db(errors: tuple[BandError, ...]) -> tuple[float, float]:
-    """Return the largest |error| [dB] without and with the filter; 0 if there are no bands."""
+    """Return the largest |error| of any band [dB] without and with the inverse filter; 0 if there are no bands."""
     before = max((abs(error.before_db) for error in errors), default=0.0)
     return before, max((abs(error.after_db) for error in errors), default=0.0)

@@ -158,7 +158,7 @@ class AudioSink:
             time.sleep(_POLL_S)
 
     def _wait_for_system_buffers(self, seconds: float) -> None:
-        """Wait while the sound system fills its buffers, which it does faster than real time."""
+        """Wait while the sound system fills its buffers, which it does faster than real time, for `seconds` at most."""
         deadline = time.monotonic() + 1.0
         while self._callback_status.requested < seconds * self._stream.samplerate and time.monotonic() < deadline:
             self._check()
@@ -215,14 +215,14 @@ class AudioSink:
 
 
 class _Command(Enum):
-    """Commands queued among the counts."""
+    """Commands to PortAudio's thread, queued among the blocks of counts."""
 
     DRAIN = "play what is there, it is all"
     DROP = "silence now"
 
 
 class _CallbackStatus(NamedTuple):
-    """Status published by the callback, replaced as one tuple and never changed.
+    """Status that PortAudio's thread publishes; replaced as one tuple and never changed.
 
     All are frames, except `underruns` (of the queue), `missed` (underruns of the sound system) and `silent`.
     """
@@ -237,7 +237,7 @@ class _CallbackStatus(NamedTuple):
 
 
 def _is_active(stream: Any) -> bool:
-    """Return whether the stream runs; False if its sound system is gone."""
+    """Return True if a PortAudio stream runs; False if its sound system is gone."""
     try:
         return bool(stream.active)
     except import_optional("sounddevice").PortAudioError:

@@ -14,7 +14,7 @@ RAMP_S = 0.004
 
 
 class FadingQueue:
-    """Queue of frames with fades around gaps, used by one thread; `advance` is its clock.
+    """Queue of frames that fades out and in around gaps, used by one thread; `advance` is its clock.
 
     The first frames pass unchanged, since the limiter fades them in. If frames are missing the last one fades out
     within `ramp` frames, an underrun is counted, and later frames fade in as slowly.
@@ -45,7 +45,7 @@ class FadingQueue:
         return not (self._is_sounding or self._fade_out_frames_left or self.queued)
 
     def would_underrun(self, frames: int) -> bool:
-        """Return whether advancing by `frames` would underrun."""
+        """Return True if the queue would run empty within the next `frames` frames."""
         return self._is_sounding and not self._is_finishing and self.queued < frames
 
     def push(self, counts: Counts) -> None:
@@ -115,5 +115,5 @@ class FadingQueue:
 
 
 def _scale(counts: Counts, gains: NDArray[np.float64]) -> Counts:
-    """Scale counts, rounding towards zero so that a fade never exceeds its input."""
+    """Multiply counts by gains, rounding towards zero so that a fade never exceeds its input."""
     return np.trunc(counts * gains[:, None]).astype(np.int16)

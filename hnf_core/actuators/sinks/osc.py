@@ -34,7 +34,7 @@ RATE_HZ = 4000.0
 """Sample rate of the sink; tactile signals end at 1 kHz."""
 
 SLOT_S = 0.01
-"""Time between two messages [s]."""
+"""Time between two messages, and length of signal that one describes [s]: a slot."""
 QUEUE_S = 0.015
 """Longest queue [s]."""
 SILENCE_SLOTS, REPEAT_PERIOD_S = 10, 1e-3
@@ -47,13 +47,13 @@ Float = NDArray[np.float64]
 
 
 def compute_amplitude(counts: ArrayLike) -> Float:
-    """Compute the amplitude of a sine with the same mean square, (n, channels) counts → (channels,) 0–1."""
+    """Compute the amplitude of a sine with the same mean square as counts (n, channels) → (channels,) 0–1."""
     square = np.square(np.asarray(counts, dtype=np.float64)).mean(axis=0)
     return np.asarray(np.minimum(np.sqrt(2.0 * square) / FULL_SCALE_COUNTS, 1.0))
 
 
 def compute_centroid_hz(counts: ArrayLike, rate_hz: float) -> Float:
-    """Compute the centroid of the power spectrum without its mean, (n, channels) → (channels,) [Hz].
+    """Compute the centroid [Hz] of the power spectrum of counts less their mean, (n, channels) → (channels,).
 
     A Hann window is applied. NaN for channels without any signal besides the mean.
     """
@@ -146,7 +146,7 @@ class OscSink:
             thread.join(1.0)
 
     def _send_loop(self) -> None:
-        """Send the envelopes at the pace of the sender thread, which is the device's clock."""
+        """Send the envelopes in time, on the sender thread, whose pace is the clock of this sink."""
         recent: Counts = np.zeros((2 * _SLOT_FRAMES, self._channels), dtype=np.int16)
         centroid, silent_slots, due = np.zeros(self._channels), SILENCE_SLOTS, time.monotonic()
         level = np.zeros(self._channels)

@@ -153,7 +153,10 @@ STOP_S = 0.02
 
 
 def compute_device_slew(slew_per_s: float, peak: int, rate_hz: int) -> int:
-    """Compute the slew of START [counts]: the limiter's, but at least that of the device's own fades."""
+    """Compute the slew limit of a START message [counts per frame].
+
+    It is the limiter's, but at least that of the device's own fades.
+    """
     if math.isinf(slew_per_s):
         return NO_SLEW_LIMIT
     fade = -(-peak // max(rate_hz // 1000 * RAMP_MS, 1))
@@ -441,7 +444,10 @@ class SerialSink:
 
     @contextmanager
     def _closing_on_error(self) -> Iterator[None]:
-        """Hold the lock; on DeviceError close the port after releasing it, since the reader thread needs it to end."""
+        """Hold the lock in the with block; on DeviceError close the port after releasing it.
+
+        The reader thread needs the lock to end.
+        """
         try:
             with self._condition:
                 yield

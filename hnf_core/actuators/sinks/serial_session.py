@@ -30,7 +30,10 @@ CONFIRMATION_S = 0.5
 
 @dataclass
 class ClockRateMonitor:
-    """Estimator of a device's frame rate from frames played and the time, over the segments without gaps."""
+    """Estimator of a device's frame rate from the frames that it has played over time.
+
+    Only segments without gaps count, in which the device always had frames to play.
+    """
 
     rate_hz: float
     _segment_start: tuple[float, int] | None = None
@@ -41,7 +44,7 @@ class ClockRateMonitor:
     _wrong_since: float | None = None
 
     def end_segment(self) -> None:
-        """End a segment, when the device had nothing to play."""
+        """End a segment of uninterrupted playing, when the device had nothing to play."""
         if self._segment_start is not None:
             self._seconds += self._last[0] - self._segment_start[0]
             self._frames += self._last[1] - self._segment_start[1]
@@ -49,7 +52,10 @@ class ClockRateMonitor:
             self._segment_start = None
 
     def update(self, now_s: float, played: int) -> float | None:
-        """Add an observation; return the actual rate [Hz] once it is certainly wrong, else None."""
+        """Add an observation: `played` frames at time `now_s` [s].
+
+        Returns the measured rate [Hz] once it certainly differs from the nominal one, else None.
+        """
         self._last = (now_s, played)
         self._segment_start = self._segment_start or self._last
         seconds = self._seconds + now_s - self._segment_start[0]
@@ -172,7 +178,7 @@ class SerialSession:
 
     @property
     def is_resting(self) -> bool:
-        """True if the device has ended the stream."""
+        """True if the device is silent after the end of the stream."""
         return self.credit is not None and self.credit.state in (State.IDLE, State.READY)
 
     def is_refused_with(self, code: ErrorCode) -> bool:
@@ -183,7 +189,7 @@ class SerialSession:
         return self.refusal.text if self.refusal is not None else ""
 
     def handle_messages(self, messages: Sequence[Message], now_s: float) -> None:
-        """Process messages that were read together; only the last one's age is known."""
+        """Process messages that were read together at `now_s` [s]; only the last one's age is known."""
         credits = [credit for credit in messages if isinstance(credit, Credit)]
         for message in messages:
             if isinstance(message, Status):
@@ -200,9 +206,10 @@ class SerialSession:
             self._handle_credits(credits, now_s)
 
     def check_timeouts(self, now_s: float) -> None:
-        """Check timeouts after each read, counting only time in which this process ran.
+        """Check after each read whether the device has been silent or stuck for too long.
 
-        Messages that a busy computer has not read in the meantime do not mean that the device is silent.
+        Only time in which this process ran counts: messages that a busy computer has not read in the meantime do not
+        mean that the device is silent.
         """
         awake_s, self._last_check_s = min(now_s - self._last_check_s, MAX_READ_GAP_S), now_s
         if self.credit is None:
@@ -215,7 +222,7 @@ class SerialSession:
             self.fail("the device takes no more samples.", RESTART_REMEDY)
 
     def fail(self, what: str, remedy: str) -> None:
-        """Record a problem; the first one stays."""
+        """Record a fault that ends the stream; the first one stays."""
         self.problem = self.problem or DeviceError(what, where=self.port, remedy=remedy)
 
     def to_sink_status(self) -> SinkStatus:

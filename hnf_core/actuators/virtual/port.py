@@ -58,7 +58,7 @@ class Recording:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def record(self, clock: int, rate_hz: float, counts: Counts) -> None:
-        """Append (n, channels) counts played at sample clock `clock`, as an `OutputCallback`.
+        """Append counts (n, channels) played at sample clock `clock` (frames since the device was switched on).
 
         Earlier counts with another rate or another number of channels are discarded.
         """
@@ -234,7 +234,7 @@ class VirtualPort:
 
     @contextmanager
     def freeze_clock(self) -> Iterator[VirtualDevice]:
-        """Give access to the device with its sample clock halted, so that everything happens at one frame."""
+        """Halt the sample clock in the with block and yield the device, so that everything happens at one frame."""
         with self._lock:
             yield self.device
 

@@ -49,7 +49,7 @@ QUEUE_MS = 15
 
 
 class PlayoutCommand(Enum):
-    """Requested action: nothing, play, play the queue and then rest, or rest now."""
+    """What the playout is to do: nothing, play, play the queue and then rest, or rest now."""
 
     OFF = 0
     RUN = 1
@@ -58,7 +58,7 @@ class PlayoutCommand(Enum):
 
 
 class PlayoutPhase(Enum):
-    """Present output: silence, samples, or a fade."""
+    """What the playout puts out now: silence, samples, or a fade."""
 
     QUIET = 0
     SOUNDING = 1
@@ -67,7 +67,7 @@ class PlayoutPhase(Enum):
 
 @dataclass(frozen=True)
 class PlayoutFormat:
-    """Format and limits of a playout.
+    """Format and limits of a playout (the device's queue of frames).
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class PlayoutFormat:
 
     @property
     def step(self) -> int:
-        """Step of a fade [counts per frame]."""
+        """Largest change of a count per frame during a fade."""
         return -(-self.peak // self.ramp)
 
     @classmethod
@@ -98,7 +98,7 @@ class PlayoutFormat:
 
 
 class Playout:
-    """Queue of frames, whose output goes to the converter; `advance` is its sample clock.
+    """Queue of frames, whose output goes to the digital–analog converter; `advance` is its sample clock.
 
     It starts once half the queue is full, or with less after the time of a fade, and without a fade-in, since the
     host's frames have one. When the queue runs empty it fades out and counts an underrun. It then restarts with a
@@ -142,7 +142,7 @@ class Playout:
         return out
 
     def _update_phase(self) -> None:
-        """Determine the phase at the start of a tick."""
+        """Determine what is put out (silence, samples or a fade) at the start of a tick, one frame long."""
         if self.command in (PlayoutCommand.DROP, PlayoutCommand.OFF):
             self._queue = self._queue[:0]
             if self.phase is PlayoutPhase.SOUNDING:
@@ -164,7 +164,10 @@ class Playout:
         self.phase, self._fading, self._fade_in_frames, self._ticks_waited = PlayoutPhase.FADING, self._out.copy(), 0, 0
 
     def _wait_ticks(self, max_ticks: int) -> int:
-        """Return the number of ticks, up to `max_ticks`, before playback may begin; `_update_phase` has counted one."""
+        """Return how many frames, up to `max_ticks`, pass in silence before playback may begin.
+
+        `_update_phase` has counted one already.
+        """
         if not self.fill or self.command in (PlayoutCommand.DROP, PlayoutCommand.OFF):
             return max_ticks
         count = min(max_ticks, self.form.ramp - self._ticks_waited)
@@ -191,7 +194,7 @@ class Playout:
         return count
 
     def _limit(self, wanted: IntArray) -> IntArray:
-        """Limit (n, channels) to the peak and the slew."""
+        """Limit counts (n, channels) to the peak and the slew."""
         limited = np.clip(wanted, -self.form.peak, self.form.peak)
         if np.abs(np.diff(limited, axis=0, prepend=self._out[None])).max() > self.form.slew:
             previous = self._out

@@ -26,7 +26,7 @@ BLOCK_SAMPLES = 64
 
 @dataclass(frozen=True)
 class StateSpace:
-    """The exact step s[n+1] = A s[n] + b u[n] of a linear system whose input is constant between samples.
+    """Exact step s[n+1] = A s[n] + b u[n] of a linear system whose input is constant between samples.
 
     `transition` (S, S) is A, `input_vector` (S,) is b. Channels are independent and share both.
     """
@@ -48,7 +48,11 @@ class StateSpace:
 
     @cached_property
     def _block_matrices(self) -> tuple[Floats, Floats]:
-        """Powers A^(n+1), (N, S, S), and responses of the state after sample n to the input at sample j, (N, S, N)."""
+        """Matrices that advance the system over a block of N samples at once.
+
+        These are the powers A^(n+1), (N, S, S), and the responses of the state after sample n to the input at sample j,
+        (N, S, N).
+        """
         powers = [np.eye(len(self.input_vector))]
         for _ in range(BLOCK_SAMPLES):
             powers.append(self.transition @ powers[-1])
@@ -244,7 +248,10 @@ def _compute_transition_matrix(stiffness: float, damping: float, seconds: float)
 
 
 def simulate_with_stops(mechanics: StateSpace, start: Floats, force: Floats, stroke_m: float) -> Floats:
-    """Simulate sample by sample (n + 1, 2, C); a position beyond an end stop rests at it."""
+    """Simulate a mass between two end stops sample by sample: position and velocity (n + 1, 2, C).
+
+    `force` (n, C) is in N; a position beyond an end stop, at ± `stroke_m` [m], rests at it.
+    """
     states = [start]
     for value in force:
         position, velocity = mechanics.transition @ states[-1] + np.outer(mechanics.input_vector, value)

@@ -1,7 +1,8 @@
-"""Shared parts of all figures: style and saving, spectrogram, time tracks of a stroke, and force colour scale.
+"""Shared parts of all figures: style and saving, spectrogram, time tracks of a stroke, and force color scale.
 
-Figures are drawn without a display and without matplotlib's global state. The force colours are absolute, so that a
-colour means the same force in every figure and viewport.
+Figures are drawn without a display and without matplotlib's global state. The force colors are absolute, so that a
+color means the same force in every figure and viewport. `write_tactile_map_figure` shows a tactile map to people:
+contrast stretched, with a scale bar and a description.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import io
 import textwrap
 import warnings
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -23,7 +24,8 @@ from ...action.action import Action
 from ...errors import FileError
 from ...files import write_bytes
 from ...signal import Signal
-from ...units import m_to_mm, power_to_db
+from ...tactile.tactile_map import TactileMap
+from ...units import linear_to_srgb, m_to_mm, power_to_db
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +47,7 @@ class Spectrogram:
     frequency : (f,) float64
         Frequencies [Hz].
     time : (t,) float64
-        Centres of the windows [s].
+        Centers of the windows [s].
     """
 
     power: Float
@@ -92,14 +94,14 @@ def compute_spectrogram(signal: Signal, window_s: float = SPECTROGRAM_WINDOW_S, 
     return Spectrogram(power.T, frequency, (np.arange(frames) * hop + n / 2) / signal.sample_rate)
 
 
-# Okabe & Ito's palette and matplotlib's cividis remain distinguishable under all common colour vision deficiencies.
+# Okabe & Ito's palette and matplotlib's cividis remain distinguishable under all common color vision deficiencies.
 # The add-on's Preview also draws force in orange and speed in green.
 INK, MUTED, FORCE_COLOUR, SPEED_COLOUR = "#1c2430", "#5c6672", "#d55e00", "#009e73"
 POWER_COLOUR_MAP = "cividis"
 DISPLAY_RANGE_DB = 70.0
 TRACKS_BOTTOM = 0.075
 SILENCE_DB = -120.0
-"""Density [dB re 1 (m/s²)²/Hz] below which a signal is labelled silent; far below the threshold of the skin."""
+"""Density [dB re 1 (m/s²)²/Hz] below which a signal is labeled silent; far below the threshold of the skin."""
 
 
 def draw_tracks(
@@ -171,7 +173,7 @@ def _draw_wave(axes: Axes, signal: Signal) -> None:
 def _compute_column_ranges(
     samples: NDArray[np.float64], rate: float, columns: int = 1100
 ) -> tuple[NDArray[np.float64], ...]:
-    """Return time, lowest and highest value per drawn column, so that no peak is lost between pixels.
+    """Return time, lowest and highest sample per drawn pixel column, so that no peak is lost between pixels.
 
     Each column begins with the last sample of the one before, so the drawn line has no gaps.
     """
@@ -203,7 +205,7 @@ def _draw_power(
     if top < SILENCE_DB:
         axes.text(0.5, 0.5, "silent", transform=axes.transAxes, ha="center", va="center", color=MUTED, fontsize=16)
         return
-    # Rows above the axis limit would cost drawing time. One more row is kept because colours interpolate between rows.
+    # Rows above the axis limit would cost drawing time. One more row is kept because colors interpolate between rows.
     rows = slice(int(frequency_scale == "log"), int(np.searchsorted(spectrogram.frequency, highest)) + 1)
     mesh = axes.pcolormesh(
         spectrogram.time,
@@ -232,11 +234,11 @@ FORCE_COLOUR_STOPS: tuple[tuple[float, Colour], ...] = (
     (4.0, (1.00, 0.35, 0.10, 1.0)),
     (8.0, (1.00, 0.15, 0.45, 1.0)),
 )
-"""Force [N] → RGBA: grey is no contact, blue light, green 1 N, yellow firm, red hard."""
+"""Force [N] → RGBA: gray is no contact, blue light, green 1 N, yellow firm, red hard."""
 
 
 def force_to_colour(newtons: float) -> Colour:
-    """Return the RGBA colour (0–1 each) of a normal force [N]; linear between the stops, constant beyond them."""
+    """Return the RGBA color (0–1 each) of a normal force [N]; linear between the stops, constant beyond them."""
     after = bisect_right([force for force, _ in FORCE_COLOUR_STOPS], newtons)
     if after == 0:
         return FORCE_COLOUR_STOPS[0][1]
@@ -321,7 +323,7 @@ def write_figure(path: Path, size_px: tuple[int, int], draw: Callable[[Figure], 
 
 
 def wrap_lines(lines: list[tuple[str, str]], width: int, max_rows: int) -> list[tuple[str, str]]:
-    """Wrap labelled lines to (label, row) pairs; cut the longest, with a mark, if there are more than `max_rows`."""
+    """Wrap labeled lines to (label, row) pairs; cut the longest, with a mark, if there are more than `max_rows`."""
     for rows_per_line in range(max_rows, 0, -1):
         rows = [
             (label, row)
@@ -353,3 +355,102 @@ def write_training_curve(path: Path, title: str, history: NDArray[np.float64]) -
         figure.text(0.1, 0.92, title, fontsize=14, fontweight="bold")
 
     write_figure(path, TRAINING_CURVE_SIZE_PX, draw)
+
+
+SIZE_PX = (640, 800)
+MAX_TEXT_ROWS = 7
+"""Most rows of text below the map, down to the lower edge."""
+CONTRAST_TARGET = 0.2
+"""Distance from the mean to which the strongest percent of pixels of a tactile map is stretched; the contrast of a gel
+sensor's image is much smaller."""
+MAX_BAR_SHARE = 0.4
+"""Largest length of the scale bar, as a fraction of the map's width."""
+
+
+def compute_contrast_gain(tactile: TactileMap) -> float:
+    """Return the factor by which a tactile map's contrast is raised for display; 1 if it is strong enough."""
+    covered = np.asarray(tactile.image, dtype=np.float64)[tactile.mask]
+    spread = float(np.percentile(np.abs(covered - covered.mean(axis=0)), 99)) if len(covered) else 0.0
+    return max(1.0, CONTRAST_TARGET / max(spread, 1e-3))
+
+
+def stretch_contrast(tactile: TactileMap) -> NDArray[np.float64]:
+    """Return a tactile map (H, W, 3), linear, with its contrast raised for display.
+
+    Pixels outside the map's mask are set to its mean.
+    """
+    image = np.asarray(tactile.image, dtype=np.float64)
+    covered = image[tactile.mask]
+    mean = covered.mean(axis=0) if len(covered) else image.mean(axis=(0, 1))
+    return np.where(tactile.mask[..., None], mean + (image - mean) * compute_contrast_gain(tactile), mean)
+
+
+def write_tactile_map_figure(path: Path, tactile: TactileMap, title: str, facts: Sequence[str] = ()) -> None:
+    """Draw a tactile map into a PNG of 640 × 800 pixels, atomically: enlarged, with a scale bar [mm] and text below.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    tactile : TactileMap
+        The map; sensor, light and contrast gain are described below it.
+    title : str
+        Title; long ones are cut.
+    facts : sequence of str
+        More paragraphs. Text beyond `MAX_TEXT_ROWS` rows is cut, with a mark.
+
+    Raises
+    ------
+    FileError
+        If matplotlib is missing or the file cannot be written.
+
+    Notes
+    -----
+    Equal input gives equal bytes with one version of matplotlib.
+    """
+
+    def draw(figure: Figure) -> None:
+        figure.text(
+            0.05, 0.965, textwrap.shorten(title, 52, placeholder=" …"), fontsize=14, fontweight="bold", va="top"
+        )
+        _draw_map(figure, tactile)
+        paragraphs = [("", text) for text in (_describe_map(tactile), *facts)]
+        for number, (_, row) in enumerate(wrap_lines(paragraphs, 82, MAX_TEXT_ROWS)):
+            figure.text(0.05, 0.165 - 0.024 * number, row, fontsize=9.5, color=MUTED, va="top")
+
+    write_figure(path, SIZE_PX, draw)
+
+
+def choose_bar_length_mm(width_mm: float) -> float:
+    """Return a round length for a scale bar [mm]: 1, 2 or 5 times a power of ten.
+
+    It is the longest that is at most `MAX_BAR_SHARE` of the image's width `width_mm`.
+    """
+    decade = 10.0 ** np.floor(np.log10(MAX_BAR_SHARE * width_mm))
+    return float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= MAX_BAR_SHARE * width_mm))
+
+
+def _draw_map(figure: Figure, tactile: TactileMap) -> None:
+    from matplotlib.patches import Rectangle
+
+    height, width = tactile.image.shape[:2]
+    axes = figure.add_axes((0.05, 0.2, 0.9, 0.72))
+    axes.imshow(linear_to_srgb(stretch_contrast(tactile)), extent=(0, width, height, 0), interpolation="nearest")
+    axes.set(xticks=[], yticks=[])
+    axes.grid(False)
+    millimetres = choose_bar_length_mm(m_to_mm(width * tactile.metres_per_pixel))
+    length, left, bottom = millimetres / m_to_mm(tactile.metres_per_pixel), 0.04 * width, 0.95 * height
+    background = Rectangle((left - 0.015 * width, bottom - 0.055 * height), length + 0.03 * width, 0.08 * height)
+    background.set(fc="white", ec="none", alpha=0.85)
+    axes.add_patch(background)
+    axes.add_patch(Rectangle((left, bottom), length, 0.012 * height, fc=INK, ec="none"))
+    axes.text(left + length / 2, bottom - 0.008 * height, f"{millimetres:g} mm", ha="center", va="bottom", color=INK)
+
+
+def _describe_map(tactile: TactileMap) -> str:
+    gain, width_mm = compute_contrast_gain(tactile), m_to_mm(tactile.image.shape[1] * tactile.metres_per_pixel)
+    raised = f"; contrast raised {gain:.2g}-fold" if gain > 1.0 else ""
+    return (
+        f"What a {tactile.sensor} touch sensor would see of the surface: relief lit from the sides, "
+        f"{width_mm:.3g} mm wide, {tactile.route.value}{raised}."
+    )

@@ -1,4 +1,4 @@
-"""Draw a stroke as one figure: its path over a rendered view, coloured by force, and its tracks over time."""
+"""Draw a stroke as one figure: its path over a rendered view, colored by force, and its curves over time."""
 
 from __future__ import annotations
 
@@ -15,15 +15,23 @@ from ...action.action import Action
 from ...signal import Signal
 from ...tactile.tactile_map import TactileMap
 from ...units import linear_to_srgb
-from .figure import MUTED, TRACKS_BOTTOM, draw_spectrum, draw_tracks, force_to_colour, wrap_lines, write_figure
-from .tactile_map_figure import stretch_contrast
+from .figure import (
+    MUTED,
+    TRACKS_BOTTOM,
+    draw_spectrum,
+    draw_tracks,
+    force_to_colour,
+    stretch_contrast,
+    wrap_lines,
+    write_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 FORCE_TICKS_N = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Ticks of the colour bar [N], the same in every figure; the last is its end."""
+"""Ticks of the color bar [N], the same in every figure; the last is its end."""
 CASING_COLOUR = "#10141a"
 FULL_WEIGHT_EXTENT_PX = 130.0
 """Extent [pixels of the figure] below which a stroke gets a finer line and smaller marks, so that they do not cover it.
@@ -34,7 +42,7 @@ DOT_EXTENT_PX = 8.0
 ARROW_HEAD_PX = 17.0
 MAX_ARROW_HEADS = 4
 BAR_LINEAR_LIMIT_N = 0.25
-"""Force [N] above which the colour bar is about logarithmic and below which it is about linear.
+"""Force [N] above which the color bar is about logarithmic and below which it is about linear.
 
 Most strokes have 0.3 to 3 N.
 """
@@ -47,9 +55,9 @@ class StrokeView:
     Attributes
     ----------
     rgb : (H, W, 3) float32
-        Linear colours.
+        Linear colors.
     path : (k, 2) float64
-        Pixel coordinates of the hand over time (pixel centres at +0.5, y down).
+        Pixel coordinates of the hand over time (pixel centers at +0.5, y down).
     force : (k,) float64
         Normal force [N].
     visible : (k,) bool or None
@@ -63,7 +71,7 @@ class StrokeView:
 
 
 def draw_path(figure: Figure, axes: Axes, view: StrokeView, bar: tuple[float, float, float, float]) -> None:
-    """Draw the path coloured by force, its start and direction, and the colour bar [N].
+    """Draw the path colored by force, its start and direction, and the color bar [N].
 
     `bar` is (left, bottom, width, height) in fractions of the figure. The line has a casing, which keeps it readable
     over any image; where the hand is hidden it is thin and dashed.
@@ -141,7 +149,7 @@ def _forces_to_colours(force: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _split_at_turns(path: NDArray[np.float64]) -> list[slice]:
-    """Split the path where the hand reverses its direction; return slices."""
+    """Split the path (k, 2) of a stroke where the hand reverses its direction; return slices."""
     steps = np.diff(path, axis=0)
     moving = np.flatnonzero(np.linalg.norm(steps, axis=1) > 1e-9)
     if not len(moving):
@@ -180,7 +188,7 @@ def _draw_arrow_heads(
 
 
 def _find_runs(flags: NDArray[np.bool_]) -> list[slice]:
-    """Return slices of consecutive True values."""
+    """Return a slice for each run of consecutive True values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -207,7 +215,7 @@ def write_stroke_figure(
 ) -> None:
     """Draw a stroke into a PNG of 1600 × 1000 pixels, atomically.
 
-    The figure shows the view with the stroke coloured by force and, on one time axis, force [N], speed [mm/s],
+    The figure shows the view with the stroke colored by force and, on one time axis, force [N], speed [mm/s],
     acceleration [m/s²] and the spectrogram [dB re 1 (m/s²)²/Hz].
 
     Parameters
@@ -225,7 +233,7 @@ def write_stroke_figure(
     tactile : TactileMap or None
         Tactile map of the surface, drawn with its route and stretched contrast.
     facts : mapping of str to str, or None
-        Labelled lines below the view (material, routes, confidence, …); seed, duration and RMS are added.
+        Labeled lines below the view (material, routes, confidence, …); seed, duration and RMS are added.
     frequency_scale : {"linear", "log"}
         Scale of the spectrogram's frequency axis.
     highest_hz : float
@@ -269,7 +277,7 @@ def _truncate(text: str, max_length: int) -> str:
 def _draw_view(
     figure: Figure, view: StrokeView | None, tactile: TactileMap | None, lines: list[tuple[str, str]]
 ) -> float:
-    """Draw the view, its colour bar, the facts and the tactile map in the left column; return their lower end.
+    """Draw the view, its color bar, the facts and the tactile map in the left column; return their lower end.
 
     The view is as large as fits above the text.
     """
@@ -301,7 +309,10 @@ def _draw_view(
 
 
 def _draw_map(figure: Figure, tactile: TactileMap, left: float, top: float) -> None:
-    """Draw a tactile map as a square with its upper edge at `top`, and its route and width below."""
+    """Draw a tactile map as a square with its upper edge at `top`, and below it its width and how it was obtained.
+
+    `left` and `top` are in fractions of the figure.
+    """
     height = MAP_WIDTH * SIZE_PX[0] / SIZE_PX[1]
     axes = figure.add_axes((left, top - height, MAP_WIDTH, height))
     axes.imshow(linear_to_srgb(stretch_contrast(tactile)), interpolation="antialiased")
