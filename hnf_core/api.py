@@ -614,7 +614,7 @@ class OutputStream:
     """An actuator opened by `open_stream`, on which signals are played."""
 
     def __init__(self, target: str, profile: str, gain_db: float) -> None:
-        from .actuators.profile import load_profile
+        from .actuators.profile_json import load_profile
         from .actuators.sources import db_to_gain
         from .actuators.stream_targets import parse_target
 
@@ -775,7 +775,7 @@ def _get_library_material(name: str) -> Material:
 
 
 def _to_grid(action: Action | Primitive | str, seed: int) -> tuple[GridAction, str]:
-    from .action.primitives import make_primitive_action
+    from .action.primitive_path import make_primitive_action
 
     if isinstance(action, Action):
         return action.to_grid(), "action"

@@ -10,7 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..actuators.profile import GENERIC, PROFILES, load_profile
+from ..actuators.profile import GENERIC, PROFILES
+from ..actuators.profile_json import load_profile
 from ..errors import UsageError
 from ..export.convert import export_signal
 from ..export.formats import FORMATS, format_of

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from ..action.action import read_action_csv
 from ..action.parse_stroke import parse_stroke
-from ..action.primitives import PRIMITIVES, make_primitive_action
+from ..action.primitive_path import make_primitive_action
+from ..action.primitives import PRIMITIVES
 from ..errors import UsageError
 from ..export.wav import write_wav, write_wav_stream
 from ..field.carriers import MODEL_RATE_HZ

@@ -24,8 +24,15 @@ from ..material.band_descriptor import describe
 from ..material.contact_model import Mechanics
 from ..simulation.appearance.albedo import compute_cavity_depth, render_albedo
 from ..simulation.appearance.instance import SurfaceAppearance, sample_appearance
-from ..simulation.appearance.macro_depth import centred_grid, interpolate_bilinear, sample_shape, simulate_macro_depth
-from ..simulation.appearance.shading import compute_ambient_occlusion, sample_light, shade_surface
+from ..simulation.appearance.shading import (
+    centred_grid,
+    compute_ambient_occlusion,
+    interpolate_bilinear,
+    sample_light,
+    sample_shape,
+    shade_surface,
+    simulate_macro_depth,
+)
 from ..simulation.material_classes import CLASS_ENTRIES, derive_seed, get_category, list_classes, sample_instance
 from ..simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map, random_recipe, wavenumbers
 from ..tactile.fourier_filters import frequencies, gaussian_mtf

@@ -13,7 +13,8 @@ from builders import add_plane
 from stroke_builders import act
 
 from hnf_blender.ops.diagnose_ops import ASSET_FOLDER, ASSET_LIBRARY_NAME, find_asset_library
-from hnf_core.action.primitives import PRIMITIVES, make_primitive_path
+from hnf_core.action.primitive_path import make_primitive_path
+from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.material.library import get_material, load_library
 
 pytestmark = pytest.mark.usefixtures("operators")

@@ -14,7 +14,8 @@ from hnf_blender.bridge.stroke.place_primitive import choose_default_slots, list
 from hnf_blender.bridge.stroke.read_stroke import list_strokes, read_stroke
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.patches import action_from_contacts, plan_patches
-from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES, make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 from hnf_core.errors import SceneError
 
 HELMET = Path(__file__).resolve().parents[2].parent / "shared/data/scenes/FlightHelmet/FlightHelmet.gltf"

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hnf_core.action.parse_stroke import FORCE_LIMITS_N, SPEED_LIMITS_M_S, parse_stroke
-from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES, make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 from hnf_core.errors import UsageError
 
 DIAGONAL = 2**-0.5

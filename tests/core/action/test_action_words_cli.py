@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hnf_core.action.parse_stroke import parse_stroke
-from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES, make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 from hnf_core.cli.main import build_parser, main
 from hnf_core.cli.touch import make_touch_request
 from hnf_core.export.wav import read_wav

@@ -7,15 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.primitives import (
-    HARD_N,
-    PRIMITIVE_NAMES,
-    PRIMITIVES,
-    SOFT_N,
-    make_path_curve,
-    make_primitive_action,
-    make_primitive_path,
-)
+from hnf_core.action.primitive_path import make_path_curve, make_primitive_action, make_primitive_path
+from hnf_core.action.primitives import HARD_N, PRIMITIVE_NAMES, PRIMITIVES, SOFT_N
 from hnf_core.errors import UsageError
 
 

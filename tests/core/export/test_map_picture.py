@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hnf_core.export.plots import tactile_map_figure as module
-from hnf_core.export.plots.figure import INK
-from hnf_core.export.plots.tactile_map_figure import (
+from hnf_core.export.plots import figure as module
+from hnf_core.export.plots.figure import (
+    INK,
     choose_bar_length_mm,
     compute_contrast_gain,
     stretch_contrast,

@@ -8,7 +8,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_synthesis import FOAM, WOOD, linear_field, make_action, rough_token, steady
 
-from hnf_core.action.primitives import PRIMITIVES, make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.field import adaptive_sampling
 from hnf_core.field.adaptive_sampling import (
     MAX_EVALUATIONS,

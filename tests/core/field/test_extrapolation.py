@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.action.primitives import PRIMITIVE_NAMES, make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import PRIMITIVE_NAMES
 from hnf_core.action.synthetic_actions import make_circular_action, make_random_smooth_action, make_steady_action
 from hnf_core.errors import StrokeError
 from hnf_core.field.field import Field, FieldConfig, initial_parameters

@@ -9,7 +9,8 @@ import json
 import numpy as np
 import pytest
 
-from hnf_core.action.primitives import DEFAULT_PRIMITIVE, make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import DEFAULT_PRIMITIVE
 from hnf_core.errors import WeightsError
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.field import Field, FieldConfig, initial_parameters

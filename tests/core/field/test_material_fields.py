@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from live_strokes import states
 
-from hnf_core.action.primitives import DEFAULT_PRIMITIVE, make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import DEFAULT_PRIMITIVE
 from hnf_core.diagnostics import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
 from hnf_core.errors import FileError, StrokeError, WeightsError
 from hnf_core.field.carriers import Carriers

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from data_tools.bench_strokes import clear_carrier_caches, make_keyed_stroke
-from hnf_core.action.primitives import PRIMITIVES, make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.field import noise_cache as ahead
 from hnf_core.field.field import FieldConfig
 from hnf_core.field.noise_cache import (

@@ -17,14 +17,17 @@ from hnf_core.simulation.appearance.albedo import (
     render_streaks,
 )
 from hnf_core.simulation.appearance.instance import PRINT_KINDS, Mark, SurfaceAppearance, sample_appearance
-from hnf_core.simulation.appearance.macro_depth import (
+from hnf_core.simulation.appearance.shading import (
+    Light,
     Shape,
     centred_grid,
+    compute_ambient_occlusion,
     interpolate_bilinear,
+    sample_light,
     sample_shape,
+    shade_surface,
     simulate_macro_depth,
 )
-from hnf_core.simulation.appearance.shading import Light, compute_ambient_occlusion, sample_light, shade_surface
 from hnf_core.simulation.material_classes import CLASS_ENTRIES, get_category, list_classes
 from hnf_core.simulation.surface_recipe import Lattice, Noise, SurfaceRecipe, height_map, plain_weave, wavenumbers
 

@@ -14,9 +14,10 @@ from hnf_core.errors import UsageError
 from hnf_core.progress import Progress, ProgressBar
 
 from .eval_alignment import add_parser as _add_alignment
+from .eval_recordings import add_parser as _add_recordings
 from .eval_tactile_map import add_parser as _add_tactile_map
 
-SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment, _add_tactile_map)
+SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment, _add_recordings, _add_tactile_map)
 """Further subjects: each adds a parser with its own runner as the default of `run`."""
 
 

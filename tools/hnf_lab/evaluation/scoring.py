@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.action.primitives import PRIMITIVE_NAMES, make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import PRIMITIVE_NAMES
 from hnf_core.action.synthetic_actions import make_circular_action, make_random_smooth_action, make_steady_action
 from hnf_core.datasets.recording import ActionRange, TextureProcess
 from hnf_core.metrics.similarity import spqi, st_sim_cosine, st_sim_tum

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.action.primitives import PRIMITIVES, make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
+from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.field.field import Field, evaluate
 from hnf_core.field.prepare import prepare_stroke
 from hnf_core.field.render import render_block, render_contact

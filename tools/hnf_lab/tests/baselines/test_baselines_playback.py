@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hnf_core.action.primitives import make_primitive_action
+from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
 from hnf_core.datasets.recording import Recording
 from hnf_core.errors import FileError

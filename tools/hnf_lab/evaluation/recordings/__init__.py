@@ -1,0 +1,1 @@
+"""Judge of recordings: spectra of recorded textures beside those of the library. Read `measure.py` first."""
