@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from hnf_blender import props
 from hnf_blender.bridge.scene.material_definition import set_appearance
 from hnf_blender.bridge.stroke.place_primitive import place_primitive
-from hnf_core.action.primitives import PRIMITIVES, PlanarPath, Primitive, make_path_curve, make_primitive_path
+from hnf_core.action.primitive_path import PlanarPath, make_path_curve, make_primitive_path
+from hnf_core.action.primitives import PRIMITIVES, Primitive
 from hnf_core.files import write_text
 from hnf_core.material.library import (
     LibraryMaterial,
