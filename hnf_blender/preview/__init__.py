@@ -31,7 +31,7 @@ Showing it at once would delay the signal: no results are collected while Blende
 
 
 class SceneSnapshot:
-    """What was seen of a scene at the last tick of the timer, to notice changes.
+    """State of a scene at the last tick of the timer, to notice changes.
 
     Attributes
     ----------

@@ -267,7 +267,7 @@ class StrokeJob:
 
 @dataclass(frozen=True)
 class SurfaceFacts:
-    """What is known of an object without reading its triangles: materials, hashes, sources of relief.
+    """Facts about an object that are known without reading its triangles: materials, hashes, sources of relief.
 
     Attributes
     ----------

@@ -196,7 +196,7 @@ POLL_S = 0.2
 
 @dataclass(frozen=True)
 class CommandResult:
-    """How a command's process ended.
+    """Ending of a command's process.
 
     code: its exit code, negative for the signal that killed it, None if it was stopped. stdout, stderr: their last
     lines.

@@ -97,7 +97,7 @@ class PairSizes:
 
 @dataclass(frozen=True)
 class TileRequest:
-    """What to simulate as one tile; a random surface has the class name "" and the instance seed −1."""
+    """Tile to simulate; a random surface has the class name "" and the instance seed −1."""
 
     class_name: str
     instance_seed: int
@@ -407,7 +407,7 @@ WRITE_ORDER = (HELD_OUT_INSTANCES, HELD_OUT_CLASSES, TRAIN)
 
 @dataclass(frozen=True)
 class Shard:
-    """What to write into one file of pairs; `shard_count` is the number of such files in its split."""
+    """Content of one file of pairs to write; `shard_count` is the number of such files in its split."""
 
     path: Path
     requests: tuple[TileRequest, ...]

@@ -348,7 +348,7 @@ def _octave_bands(carriers: Carriers, octave: int) -> slice:
 
 @dataclass(frozen=True)
 class _Interpolation:
-    """Where n samples lie between the knots, for linear interpolation of amplitudes.
+    """Positions of n samples between the knots, for linear interpolation of amplitudes.
 
     begin: first sample. row: (n,) knot before each sample. share: (n,) fraction of the way to the next.
     """

@@ -339,7 +339,7 @@ class EmissionTables:
 
 @dataclass(frozen=True)
 class ContactPrior:
-    """What the linear contact predicts for n states, to which the network's output is a correction.
+    """Prediction of the linear contact for n states, to which the network's output is a correction.
 
     prior: (n, K) log amplitude per carrier. line: (n, 2, L) powers in the two arc bands about each tone. low: (n, L)
     index of the lower of the two.

@@ -69,7 +69,7 @@ Layers = Closure | Blend
 
 @dataclass(frozen=True)
 class ShaderReading:
-    """What a material's nodes say, as AOV passes (taps) and constants.
+    """Shading of a material as its nodes define it, as AOV passes (taps) and constants.
 
     `layers` is its surface, a tree of mixed BSDFs, None without nodes; `displacement` is added to all of them; `notes`
     are remarks for the user.
@@ -274,7 +274,7 @@ VARYING_NODES = (
 
 
 class ReliefSource(Enum):
-    """What a material's relief (height) can be read or predicted from.
+    """Source that a material's relief (height) can be read or predicted from.
 
     RELIEF: the material has bump, displacement or normal maps. VARYING_COLOUR: it has none, but its color may vary from
     place to place. NONE: neither.
@@ -287,7 +287,7 @@ class ReliefSource(Enum):
 
 @dataclass(frozen=True)
 class ColourSources:
-    """What makes a material's color vary: images, procedural textures, vertex colors.
+    """Sources of a material's color variation: images, procedural textures, vertex colors.
 
     Attributes
     ----------

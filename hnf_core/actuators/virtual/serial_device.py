@@ -49,7 +49,7 @@ QUEUE_MS = 15
 
 
 class PlayoutCommand(Enum):
-    """What the playout is to do: nothing, play, play the queue and then rest, or rest now."""
+    """Instruction for the playout: nothing, play, play the queue and then rest, or rest now."""
 
     OFF = 0
     RUN = 1
@@ -58,7 +58,7 @@ class PlayoutCommand(Enum):
 
 
 class PlayoutPhase(Enum):
-    """What the playout puts out now: silence, samples, or a fade."""
+    """Current output of the playout: silence, samples, or a fade."""
 
     QUIET = 0
     SOUNDING = 1

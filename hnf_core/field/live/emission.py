@@ -152,7 +152,7 @@ class LiveSurfaceSpectrum:
 
 @dataclass(frozen=True)
 class LinearState:
-    """What the linear contact predicts for one state of the hand, as LinearContact for many.
+    """Prediction of the linear contact for one state of the hand, as LinearContact for many.
 
     power, noise: (Ka,) per arc band. normal, resonance: numbers. lines: (2, lines) tone power. low: (lines,). gain:
     (Ka,) fade at the limits of the audible band, arc_gain at its speed.

@@ -150,7 +150,7 @@ def test_a_folder_without_models_is_refused(tmp_path):
 
 
 @needs_hatt
-def test_on_real_recordings_a_constant_is_seven_db_off_and_a_category_five():
+def test_baselines_on_real_recordings_are_as_measured():
     """The figures that every answer has to be held against, on the 50 textures of the sample."""
     textures = read_textures(HATT)
     assert len(textures) == 50
