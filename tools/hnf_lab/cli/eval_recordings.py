@@ -19,7 +19,7 @@ def add_parser(subjects: Any) -> None:
         help="the library beside recorded textures, with what a constant answer gives",
         description="Ask for every texture of your copy of HaTT by its name, as hnf synth --material would, and "
         "compare spectra at nine speeds and forces; beside it the mean of the other textures, of its category and of "
-        "its name. Takes a minute.",
+        "its name. Takes some three minutes.",
     )
     parser.add_argument("--hatt", type=Path, metavar="DIR", required=True, help="your copy of HaTT's texture models")
     parser.add_argument("--out", type=Path, metavar="DIR", help="also write recordings.md, .json and .png here")

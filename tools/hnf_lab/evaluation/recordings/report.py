@@ -206,9 +206,9 @@ def write_picture(path: Path, results: Sequence[TextureResult]) -> None:
         finite = [np.asarray(group)[np.isfinite(group)] for group in groups]
         right.boxplot(finite, whis=(10, 90), showfliers=False)
         right.set_xticks(
-            range(1, len(groups) + 1), [label.replace(" of ", "\nof ") for label in ("library", *BASELINES)]
+            range(1, len(groups) + 1), [label.replace(" ", "\n") for label in ("library", *BASELINES)]
         )
         right.set_ylabel("distance from the recording [dB]")
         right.set_ylim(bottom=0.0)
 
-    write_figure(path, (1600, 640), draw)
+    write_figure(path, (1200, 500), draw)
