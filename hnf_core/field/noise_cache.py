@@ -146,7 +146,7 @@ def _draw_time_block(carriers: Carriers, seed: int, block: int) -> tuple[Float32
 
 @lru_cache(maxsize=32)  # Enough for the two or three blocks that a hop needs of each of eight octaves.
 def _get_arc_block(carriers: Carriers, seed: int, octave: int, block: int) -> Waves:
-    """Return one noise block of an octave of arc carriers, drawn or from the cache."""
+    """Return one noise block of an octave of arc carriers (noise bands fixed in arc length), drawn or cached."""
     return draw_arc_block(carriers, seed, octave, block)
 
 

@@ -215,7 +215,7 @@ class AudioSink:
 
 
 class _Command(Enum):
-    """Commands to PortAudio's thread, queued among the blocks of counts."""
+    """Commands to PortAudio's thread, queued among the blocks of samples (int16 counts)."""
 
     DRAIN = "play what is there, it is all"
     DROP = "silence now"
