@@ -11,7 +11,7 @@ import math
 from dataclasses import MISSING, asdict, fields, is_dataclass
 from functools import cache
 from types import UnionType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 Record = TypeVar("Record")
 
@@ -26,7 +26,7 @@ def load_json(text: str) -> Any:
     return json.loads(text, parse_constant=_reject_constant)
 
 
-def parse_record(kind: type[Record], values: Any) -> Record:
+def parse_record(kind: type[Record], values: Any, *, complete: bool = False) -> Record:
     """Build a dataclass from the values of a JSON object.
 
     Parameters
@@ -34,7 +34,9 @@ def parse_record(kind: type[Record], values: Any) -> Record:
     kind
         The dataclass.
     values
-        Dict of its fields; those with a default may be missing.
+        Dict of its fields.
+    complete
+        Require the fields with a default, too: for text that `encode_json` wrote, which has them all.
 
     Returns
     -------
@@ -48,13 +50,15 @@ def parse_record(kind: type[Record], values: Any) -> Record:
     """
     if not isinstance(values, dict):
         raise ValueError(f"{kind.__name__} is no object")
-    hashable: Any = kind
-    types, required = _find_field_types(hashable)
+    types, required = _find_field_types(cast(Any, kind))
     if unknown := values.keys() - types.keys():
         raise ValueError(f"{kind.__name__} has no field '{min(unknown)}'")
-    if missing := required - values.keys():
+    if missing := (types.keys() if complete else required) - values.keys():
         raise ValueError(f"{kind.__name__} needs '{min(missing)}'")
-    return kind(**{name: _parse_value(types[name], value, f"{kind.__name__}.{name}") for name, value in values.items()})
+    fields_by_name = {
+        name: _parse_value(types[name], value, f"{kind.__name__}.{name}", complete) for name, value in values.items()
+    }
+    return kind(**fields_by_name)
 
 
 @cache
@@ -64,13 +68,13 @@ def _find_field_types(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
     return get_type_hints(kind), required
 
 
-def _parse_value(kind: Any, value: Any, name: str) -> Any:
+def _parse_value(kind: Any, value: Any, name: str, complete: bool) -> Any:
     if get_origin(kind) is UnionType:
-        return None if value is None else _parse_value(get_args(kind)[0], value, name)
+        return None if value is None else _parse_value(get_args(kind)[0], value, name, complete)
     if get_origin(kind) is tuple and isinstance(value, list):
-        return tuple(_parse_value(get_args(kind)[0], item, name) for item in value)
+        return tuple(_parse_value(get_args(kind)[0], item, name, complete) for item in value)
     if isinstance(value, dict) and isinstance(kind, type) and is_dataclass(kind):
-        return parse_record(kind, value)
+        return parse_record(kind, value, complete=complete)
     if kind is float and type(value) is int:
         value = float(value)
     if type(value) is not kind:

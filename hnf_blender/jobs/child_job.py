@@ -37,7 +37,7 @@ def from_json(kind: type[Record], text: str, *, where: str = "record") -> Record
     Raises FileError, which names `where`, if the text has other fields or types.
     """
     try:
-        return parse_record(kind, load_json(text))
+        return parse_record(kind, load_json(text), complete=True)
     except (ValueError, TypeError, RecursionError) as error:
         raise FileError(f"it is no {kind.__name__} ({error}).", where=where, remedy="Bake again.") from error
 

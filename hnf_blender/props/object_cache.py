@@ -71,7 +71,7 @@ class CachedFilter:
         return matches
 
     def list_objects(self, scene: Any) -> list[Any]:
-        """Return the cached objects (such as strokes) that are in the scene, in the order of the scene's objects."""
+        """Return the scene's objects that the filter's predicate selects, in the scene's order."""
         return [obj for _, obj in self.list_indexed(scene)]
 
 

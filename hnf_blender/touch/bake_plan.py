@@ -462,7 +462,7 @@ def _format_skipped(skipped: Sequence[Skipped]) -> list[str]:
 
 
 TOO_COARSE_NOTE = f"its picture shows no waves below {MAX_READABLE_WAVELENGTH_M * 1e3:g} mm, or one colour"
-"""What a close-up may show that turns a slot whose relief was to be predicted into a prior one."""
+"""Finding of a close-up that makes the route of a slot prior, where the plan expected to predict its relief."""
 
 
 def plan_slots(session: Session, job: StrokeJob) -> tuple[SlotPlan, ...]:

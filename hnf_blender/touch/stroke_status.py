@@ -1,4 +1,7 @@
-"""State of a stroke's stored bake compared with the current scene."""
+"""Status of a stroke's stored bake, compared with the current scene.
+
+Types alone, since panels import them with nothing else of this package; `bake_storage.check_validity` compares.
+"""
 
 from __future__ import annotations
 

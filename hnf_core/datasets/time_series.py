@@ -16,6 +16,7 @@ from ..action.action import ACTION_RATE_HZ, Action
 from ..errors import FileError
 from ..field.resampling import resample
 from ..simulation.dft321 import dft321
+from ..text import pluralize
 from .recording import Recording
 
 Float = NDArray[np.float64]
@@ -94,9 +95,9 @@ def split_at_gaps(time: Float, where: str) -> list[Piece]:
             remedy=f"Record it again without holes; {MIN_DURATION_S:g} s are the least.",
         )
     widest = float(np.diff(time)[gaps].max())
-    cut = f"cut at {len(gaps)} gap{'s' * (len(gaps) > 1)} of up to {1e3 * widest:.0f} ms between samples"
+    cut = f"cut at {pluralize(len(gaps), 'gap')} of up to {1e3 * widest:.0f} ms between samples"
     left_out = len(edges) - 1 - len(pieces)
-    short = (f"{left_out} pieces shorter than {MIN_DURATION_S:g} s are left out",) if left_out else ()
+    short = (f"left out: {pluralize(left_out, 'piece')} shorter than {MIN_DURATION_S:g} s",) if left_out else ()
     return [Piece(rows, (f"{cut}: piece {number} of {len(pieces)}", *short)) for number, rows in enumerate(pieces, 1)]
 
 

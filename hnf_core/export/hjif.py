@@ -471,7 +471,7 @@ _REFERENCE_REMEDY = "Render it with MPEG's reference software, and import the WA
 
 @dataclass(frozen=True)
 class _StatedScale:
-    """Full scale [m/s²], whether the file itself states it, and the seed (of the import options if it has none)."""
+    """Description in a file: full scale [m/s²], whether the file states it, and the seed of the signal's carriers."""
 
     full_scale: float
     is_stated: bool

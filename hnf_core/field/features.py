@@ -141,7 +141,7 @@ def build_inputs(
 
 
 def compute_gate(condition: Condition, carriers: Carriers) -> Float:
-    """Compute the factor (n, K), 0 … 1, on each carrier's amplitude: 0 at rest, in the air, or out of the band."""
+    """Compute the factor (n, K), 0 … 1, on each carrier: 0 at rest and in the air; arc carriers as in arc_gain."""
     gate = np.repeat(motion_gate(condition)[:, None], carriers.count, axis=1)
     gate[:, carriers.arc_slice] *= arc_gain(carriers.arc_centres(), np.maximum(condition.speed, SPEED_FLOOR_M_S))
     return gate

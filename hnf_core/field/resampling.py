@@ -75,6 +75,9 @@ def resample(samples: Float, rate_in: float, rate_out: float) -> tuple[Float, tu
     UsageError
         If rate_out is not between 1 Hz and 10 MHz, or is more than 200 000 times rate_in.
     """
+    if rate_in == rate_out:
+        check_rates(rate_in, rate_out)
+        return samples, rate_warnings(rate_out)
     blocks = list(resample_stream([samples], len(samples), rate_in, rate_out))
     return np.concatenate(blocks) if blocks else np.zeros(0), rate_warnings(rate_out)
 

@@ -69,7 +69,7 @@ def choose_config(recordings: Sequence[Recording], *, arc: bool, token_known: bo
 
 
 def _has_reversals(action: Action) -> bool:
-    """Return True if the hand nearly stops (a tenth of its usual speed), lifts, or reverses within 50 ms."""
+    """Return True if the hand lifts, nearly stops (a tenth of its usual speed), or turns by over 90° within 50 ms."""
     moving = action.speed[action.contact & (action.speed > 0.0)]
     if len(moving) == 0:
         return False

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -87,14 +88,24 @@ def private_words(tree: ast.Module, module: str) -> list[str]:
     return found
 
 
-def dialect_docstrings(tree: ast.Module, module: str) -> list[str]:
-    found = []
+def list_docstrings(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """(line, text) of every docstring, and of every note: a string below a constant or a field."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            text = ast.get_docstring(node)
-            if text and DIALECT_STARTS.match(text):
-                found.append(f"line {getattr(node, 'lineno', 1)}: {text.splitlines()[0][:60]}")
-    return found
+            yield getattr(node, "lineno", 1), ast.get_docstring(node) or ""
+        body = getattr(node, "body", None)
+        for statement, note in pairwise(body if isinstance(body, list) else []):
+            is_note = isinstance(note, ast.Expr) and isinstance(note.value, ast.Constant)
+            if isinstance(statement, ast.Assign | ast.AnnAssign) and is_note and isinstance(note.value.value, str):
+                yield note.lineno, note.value.value.strip()
+
+
+def dialect_docstrings(tree: ast.Module, module: str) -> list[str]:
+    return [
+        f"line {line}: {text.splitlines()[0][:60]}"
+        for line, text in list_docstrings(tree)
+        if DIALECT_STARTS.match(text)
+    ]
 
 
 def recurring_names(paths: list[Path]) -> list[str]:
@@ -180,6 +191,8 @@ def test_test_names_are_short() -> None:
         (private_words, "class Device:\n    beside: int = 0"),
         (dialect_docstrings, 'def f():\n    """What is there."""'),
         (dialect_docstrings, '"""Of files."""'),
+        (dialect_docstrings, 'LIMIT = 3\n"""What is enough."""'),
+        (dialect_docstrings, 'class A:\n    limit: int = 3\n    """Of files."""'),
         (dialect_docstrings, 'class A:\n    """Where it stands."""'),
     ],
 )

@@ -17,17 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
+from hnf_core.datasets.hatt import HattFolder
 from hnf_core.datasets.hatt_models import TextureModel
 from hnf_core.datasets.hatt_synthesis import compute_power_spectrum, interpolate_filters
-from hnf_core.datasets.registry import open_dataset
 from hnf_core.datasets.simulated import SimulatedLibrary
-from hnf_core.errors import FileError
+from hnf_core.errors import FileError, MaterialError
 from hnf_core.field.field import Field
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import Appearance, LibraryMaterial, get_material, load_library
-from hnf_core.material.ranking import NO_EVIDENCE, rank
+from hnf_core.material.ranking import find_material, rank
 from hnf_core.metrics.spectra import welch
 from hnf_core.progress import Progress, ProgressCallback, ignore_progress
 
@@ -54,11 +54,13 @@ SETTLE_S = 0.25
 """Beginning of a rendered stroke that is left out [s]."""
 MAX_SIMULATED_S = 2.0
 """Longest stroke whose statistics are compared with the simulator's [s], which takes seconds for each."""
+NO_WORD_MATCHES = "no word matches"
+"""Reason for a material if no word of the name is known: `hnf synth` refuses such a name."""
 BASELINES = ("mean of all", "mean of its category", "mean of its name", "another of its name")
 
 CATEGORY_WORDS = {
     "paper": "paper card cardboard tissue envelope folder binder book napkin plate magazine",
-    "plastic": "plastic abs vinyl acrylic plexiglass whiteboard binder polyethylene pvc bubble",
+    "plastic": "plastic abs vinyl acrylic plexiglass whiteboard polyethylene pvc bubble",
     "fabric": "cotton denim canvas silk velvet fleece shirt towel felt wool linen fabric cloth corduroy velcro satin "
     "nylon burlap suede shoe leather pleather vest",
     "carpet": "carpet grass rug turf",
@@ -176,9 +178,9 @@ def read_texture(name: str, model: TextureModel) -> RecordedTexture:
 
 def read_textures(folder: Path) -> list[RecordedTexture]:
     """Read all texture models of a copy of HaTT that hold one of CONDITIONS. Raises FileError if there is none."""
-    data = open_dataset("hatt", folder)
+    data = HattFolder(folder)
     processes = ((name, data.process(name)) for name in data.materials)
-    textures = [read_texture(name, process.model) for name, process in processes if process is not None]  # type: ignore[attr-defined]
+    textures = [read_texture(name, process.model) for name, process in processes if process is not None]
     recorded = [texture for texture in textures if texture.conditions]
     if not recorded:
         raise FileError("no texture model in it covers the conditions that are compared.", where=str(folder),
@@ -187,9 +189,12 @@ def read_textures(folder: Path) -> list[RecordedTexture]:
 
 
 def choose_material(name: str) -> tuple[LibraryMaterial, str]:
-    """Return the library material for a recorded name and the reason, as a scene would choose it by the name alone."""
-    best = rank(load_library(), Appearance(), [name])[0]
-    return get_material(best.name), "no word matches" if best.reason == NO_EVIDENCE else best.reason
+    """Return the material that `hnf synth` takes for a name and the reason; a scene's likeliest where it takes none."""
+    try:
+        material, suggestion = find_material(name)
+    except MaterialError:
+        return get_material(rank(load_library(), Appearance(), [name])[0].name), NO_WORD_MATCHES
+    return material, "a name of the library" if suggestion is None else suggestion.reason
 
 
 def make_steady_action(speed: float, force: float, direction_rad: float, seconds: float) -> Action:

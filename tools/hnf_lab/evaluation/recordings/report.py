@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hnf_core.export.plots.figure import write_figure
 
 from ..report import format_table as list_table_lines
-from .measure import BASELINES, CONDITIONS, SignalStatistics, TextureResult
+from .measure import BASELINES, CONDITIONS, NO_WORD_MATCHES, SignalStatistics, TextureResult
 from .spectra import THIRD_OCTAVES_HZ
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def _format_summary(results: Sequence[TextureResult]) -> str:
         rows.append([name, f"{median:.1f}", f"{high:.1f}", f"{level:.1f}", f"{shape:.1f}", str(count)])
     median, high, count = summarise([result.third_octaves.total for result in results])
     rows.append([f"{LIBRARY}, third octaves", f"{median:.1f}", f"{high:.1f}", "", "", str(count)])
-    named = [result for result in results if result.reason != "no word matches"]
+    named = [result for result in results if result.reason != NO_WORD_MATCHES]
     median, high, count = summarise([result.distance.total for result in named])
     rows.append([f"{LIBRARY}, where a word matched", f"{median:.1f}", f"{high:.1f}", "", "", str(count)])
     return format_table(["answer", "median", "90 %", "level", "shape", "textures"], rows)
