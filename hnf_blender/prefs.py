@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from hnf_core.material.probe import PROBES
+from hnf_core.material.probe import PROBE_NAMES
 
 from .state.addon_settings import DEFAULT_SETTINGS
 from .state.session_state import STATE
@@ -26,7 +26,7 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
     default_probe: bpy.props.EnumProperty(
         name="Probe of new strokes",
         description="Default probe for new strokes",
-        items=[(name, name.capitalize(), f"Touch with the {name}") for name in PROBES],
+        items=[(name, name.replace("-", " ").capitalize(), f"Touch with the {name}") for name in PROBE_NAMES],
         default=DEFAULT_SETTINGS.default_probe,
     )
     output: bpy.props.StringProperty(

@@ -24,7 +24,7 @@ from .errors import FileError, HnfError, UsageError
 from .field.field import Field
 from .field.stroke import Synthesis
 from .material.contact_model import Mechanics
-from .material.probe import PROBES
+from .material.probe import get_probe
 from .signal import Signal, check_rate, to_signal, to_vector
 
 if TYPE_CHECKING:
@@ -107,8 +107,7 @@ class Action:
     probe: str = "pen"
 
     def __post_init__(self) -> None:
-        if self.probe not in PROBES:
-            raise UsageError(f"there is no probe {self.probe!r}.", remedy=f"There are: {', '.join(PROBES)}.")
+        get_probe(self.probe)
         time = to_vector(self.time_s, "time_s")
         object.__setattr__(self, "time_s", time)
         for name in ("direction_rad", "speed_m_s", "force_n"):
@@ -169,7 +168,7 @@ class Recording:
     material: str = "recorded"
 
     def __post_init__(self) -> None:
-        from .simulation.dft321 import dft321
+        from .signal import dft321
 
         samples = np.asarray(self.acceleration, dtype=np.float64)
         if not (samples.ndim == 1 or (samples.ndim == 2 and samples.shape[1] == 3)):
@@ -264,25 +263,15 @@ def load_material(path: PathText) -> Material:
     >>> import hnf_core as hnf
     >>> hnf.load_material("mine.hnf")  # doctest: +SKIP
     """
-    from .field.weights import load_field, load_field_for_encoders, load_material_field, read_trained_material
-    from .material.hnf_file import HNF_SUFFIX, read_hnf, with_library_defaults
-    from .material.token import split_encoders
+    from .field.weights import load_field, read_trained_material, resolve_material_field
+    from .material.hnf_file import HNF_SUFFIX, read_hnf
 
     file = Path(fspath(path))
-    field: Field | None
     if file.suffix.lower() != HNF_SUFFIX:
         field = load_field(file)
         entry = read_trained_material(field, str(file))
     else:
-        description = read_hnf(file)
-        field = load_material_field(description)
-        if field is not None:
-            entry = read_trained_material(field, str(file))
-        else:
-            field, entry = (
-                load_field_for_encoders(split_encoders(description.encoder)),
-                with_library_defaults(description),
-            )
+        field, entry = resolve_material_field(read_hnf(file), str(file))
     return Material(entry.name, entry.token, entry.mechanics, field)
 
 
@@ -397,8 +386,7 @@ def synthesise(
         raise UsageError(f"{type(material).__name__} is no material.", remedy="Give hnf.material(NAME) or a field.")
     grid, stroke_name = _to_grid(action, seed)
     if probe is not None:
-        if probe not in PROBES:
-            raise UsageError(f"there is no probe {probe!r}.", remedy=f"There are: {', '.join(PROBES)}.")
+        get_probe(probe)
         grid = replace(grid, probe=probe)
     check_rate(rate_hz)
     stroke = uniform_stroke(grid, material.token, material.mechanics)
@@ -565,7 +553,7 @@ def train(recordings: Recording | Iterable[Recording], *, seed: int = 0, epochs:
     except ImportError as error:
         raise HnfError(f"training needs torch ({error}).", remedy="Install it: pip install torch scipy.") from error
     prepared = [recording._to_dataset_recording() for recording in strokes]
-    trained, _ = train_from_recordings(prepared, "own", "", seed, TrainingOverrides(epochs=epochs))
+    trained, _ = train_from_recordings(prepared, "own", "", seed, TrainingOverrides(epochs=epochs), compare=True)
     return trained.field
 
 

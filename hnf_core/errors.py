@@ -1,6 +1,9 @@
-"""Exceptions of this project, one family: every message names the problem, its location and the remedy."""
+"""Exceptions of this project and text for their messages: each names the problem, its location and the remedy."""
 
 from __future__ import annotations
+
+import re
+from collections.abc import Iterable
 
 
 class HnfError(Exception):
@@ -48,3 +51,39 @@ class WeightsError(HnfError):
 
 class DeviceError(HnfError):
     """An actuator, or the way to it, is missing, busy, of another version, or gone."""
+
+
+MIN_SIMILARITY = 0.7
+"""Least fraction of equal letters, in order, between a word and a suggested name."""
+PREFIX_SIMILARITY = 0.9
+"""Similarity of a name that begins with the word or contains it as a separate word; below that of a one-letter slip."""
+MIN_PREFIX_LETTERS = 3
+"""Shortest word that counts as a prefix."""
+
+
+def close_matches(word: str, names: Iterable[str], limit: int = 3) -> list[str]:
+    """Return at most `limit` of the names that resemble a word, the closest first; case does not count."""
+    ranked = sorted(((-_similarity(word.lower(), name.lower()), name) for name in names), key=lambda scored: scored[0])
+    return [name for negative_score, name in ranked[:limit] if -negative_score >= MIN_SIMILARITY]
+
+
+def _similarity(word: str, name: str) -> float:
+    """Return the similarity of a mistyped word and a name, 0 to 1."""
+    from difflib import SequenceMatcher  # imported here because only a mistyped name needs it
+
+    parts = re.split(r"[^a-z0-9]+", name)
+    if len(word) >= MIN_PREFIX_LETTERS and (word in parts or name.startswith(word)):
+        return PREFIX_SIMILARITY + (1.0 - PREFIX_SIMILARITY) * len(word) / len(name)
+    return SequenceMatcher(None, word, name).ratio()
+
+
+def format_choices(names: Iterable[str], limit: int = 12) -> str:
+    """Format at most `limit` names as "'a', 'b' and 3 more"; "" for none."""
+    choices = list(names)
+    more = f" and {len(choices) - limit} more" if len(choices) > limit else ""
+    return ", ".join(f"'{name}'" for name in choices[:limit]) + more
+
+
+def pluralize(count: int, singular: str) -> str:
+    """Format a count with its noun, whose plural ends in s: "1 block", "2 blocks"."""
+    return f"{count} {singular}" if count == 1 else f"{count} {singular}s"

@@ -1,17 +1,21 @@
-"""Progress of a long run: the callback that receives it, and the terminal progress bar that shows the time left.
+"""Progress of a long run, the terminal progress bar that shows the time left, and counts of the work done.
 
 Long functions take a `ProgressCallback` and call it between steps, when no threads of theirs are running. A callback
 may raise `Cancelled` to stop the work; any other exception would be taken for a fault of the current step.
+
+Work is counted by `add_work` where it is done, for all who have opened `count_work`. Unlike times, counts are the same
+on every machine, so that tests can limit them.
 """
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
-from typing import TextIO
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Literal, TextIO, get_args
 
 
 @dataclass(frozen=True)
@@ -112,3 +116,108 @@ class ProgressBar:
         with suppress(OSError, ValueError):  # the terminal may be closed, which must not stop the run
             self._stream.write(text)
             self._stream.flush()
+
+
+WorkKind = Literal[
+    "states", "samples", "sensor_images", "nearest_pairs", "splats", "reconstructions", "threads", "hashed_files",
+    "meshes", "collections", "scenes", "caster_triangles", "passes", "patch_files",
+    "close_ups", "renders", "rays", "network_calls", "tokens", "diffusion_calls",
+]  # fmt: skip
+"""Kinds of work that are counted. The last six are those of a report of `hnf touch`.
+
+- states: states at which the layers of F_Θ are evaluated, offline or live.
+- samples: samples whose carriers are rendered; the item is the first one.
+- sensor_images: images of a touch sensor rendered from heights.
+- nearest_pairs: pairs of a point and a triangle whose distance is computed.
+- splats: splats whose color is evaluated for a view.
+- reconstructions: splats from which a surface is reconstructed.
+- threads: threads that are requested for a part of the work.
+- hashed_files: files hashed for the version or the inputs of a batch job; the item is the path.
+- meshes: evaluated meshes read from Blender; the item is the object's name.
+- collections: collections of Blender searched for rendered objects; the item is the name.
+- scenes: temporary scenes made in Blender.
+- caster_triangles: triangles given to a ray caster.
+- passes: passes that a close-up is rendered with; the item is the name.
+- patch_files: files of baked patches and predictions opened; the item is the path.
+- close_ups: patches rendered.
+- renders: renders of any kind.
+- rays: rays and nearest-point queries.
+- network_calls: strokes synthesized by F_Θ.
+- tokens: tokens encoded.
+- diffusion_calls: patches whose relief is predicted by D_φ.
+"""
+
+
+def _make_lists() -> dict[WorkKind, list[int]]:
+    return {kind: [] for kind in get_args(WorkKind)}
+
+
+def _make_item_lists() -> dict[WorkKind, list[str | int]]:
+    return {kind: [] for kind in get_args(WorkKind)}
+
+
+@dataclass(frozen=True, eq=False)
+class WorkCount:
+    """Work done while a `count_work` context lasts; the lists grow as it is done.
+
+    Attributes
+    ----------
+    amounts : dict of list of int
+        Amount of each portion of work, in order, by kind.
+    items : dict of list of str or int
+        Name or number of the thing that each of these portions was done on; "" where there is none.
+    """
+
+    amounts: dict[WorkKind, list[int]] = field(default_factory=_make_lists)
+    items: dict[WorkKind, list[str | int]] = field(default_factory=_make_item_lists)
+
+    def total(self, kind: WorkKind) -> int:
+        """Return the amount of all work of a kind. Raises KeyError if there is no such kind."""
+        return sum(self.amounts[kind])
+
+
+_counts: tuple[WorkCount, ...] = ()
+_counts_lock = threading.Lock()
+
+
+@contextmanager
+def count_work() -> Iterator[WorkCount]:
+    """Count the work that this process does while the context lasts, in all its threads.
+
+    Contexts may be nested; each counts all of the work.
+
+    Examples
+    --------
+    >>> with count_work() as work:
+    ...     add_work("rays", 100)
+    >>> work.total("rays")
+    100
+    """
+    global _counts
+    work = WorkCount()
+    with _counts_lock:
+        _counts = (*_counts, work)
+    try:
+        yield work
+    finally:
+        with _counts_lock:
+            _counts = tuple(count for count in _counts if count is not work)
+
+
+def add_work(kind: WorkKind, amount: int = 1, item: str | int = "") -> None:
+    """Add a portion of work to all open counts.
+
+    Parameters
+    ----------
+    kind : WorkKind
+        Kind of work.
+    amount : int, default 1
+        Number of things done.
+    item : str or int, default ""
+        Name or number of the thing that it was done on.
+    """
+    if _counts:  # Mostly nobody counts, and a live state has no time for a lock.
+        with _counts_lock:
+            for count in _counts:
+                count.amounts[kind].append(amount)
+                count.items[kind].append(item)

@@ -19,6 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .progress import add_work
+
 
 def available_cpus() -> int:
     """Return the number of CPU cores that this process may use."""
@@ -31,6 +33,7 @@ def run_in_thread(work: Callable[[], None]) -> Callable[[], None]:
 
     `threading.Thread` is not used: its start and join cost 0.2 ms each.
     """
+    add_work("threads")
     errors: list[BaseException] = []
     running = threading.Lock()
     running.acquire()

@@ -66,7 +66,10 @@ class StrokeRequest:
 
 @dataclass(frozen=True)
 class MaterialChoice:
-    """A library material to use for an object or material slot: ``--material OBJECT[:SLOT]=NAME``."""
+    """A material to use for an object or material slot: ``--material OBJECT[:SLOT]=NAME|FILE``.
+
+    A name of the library; a `.hnf` file, or the `.safetensors` weights of a field trained for one material.
+    """
 
     target: str
     material: str
@@ -99,6 +102,8 @@ class TouchRequest:
         too.
     encoder : str
         Name or file of the encoder E, which turns tactile maps into material tokens; "" for the default.
+    height_as_authored : bool
+        Keep the height of every relief as the scene gives it, also where no surface is known to be so high.
     """
 
     scene: Path | None
@@ -111,6 +116,7 @@ class TouchRequest:
     as_json: bool = False
     queries: tuple[TouchQuery, ...] = ()
     encoder: str = ""
+    height_as_authored: bool = False
 
     @property
     def folder(self) -> Path:

@@ -101,8 +101,8 @@ OMITTED_FILES = frozenset(
 )
 """Weights that only `hnf eval` uses, which needs torch and does not run in Blender; and E's network, whose tokens the
 shipped field refuses."""
-SOURCE_ONLY = ("batch",)
-"""Folders that are not packed: `hnf batch` runs from the source."""
+SOURCE_ONLY = ("batch", "study")
+"""Folders that are not packed: `hnf batch` and `hnf study` run from the source."""
 IGNORED = shutil.ignore_patterns(
     "__pycache__", "*.pyc", ".*", "*.blend1", *SOURCE_ONLY, *(Path(name).name for name in OMITTED_FILES)
 )

@@ -83,8 +83,9 @@ int main(int given, char **words)
     }
     FIND(hnf_abi) FIND(hnf_has_wide_vectors) FIND(hnf_linear_contact) FIND(hnf_between_rows)
     FIND(hnf_bins) FIND(hnf_real_waves) FIND(hnf_complex_waves) FIND(hnf_plan_hops) FIND(hnf_hops)
-    FIND(hnf_place) FIND(hnf_press) FIND(hnf_bends) FIND(hnf_read_arcs)
-    FIND(hnf_inputs) FIND(hnf_emitted) FIND(hnf_layers)
+    FIND(hnf_place) FIND(hnf_press) FIND(hnf_tap) FIND(hnf_contact_motion) FIND(hnf_tones) FIND(hnf_bends) FIND(hnf_read_arcs)
+    FIND(hnf_inputs) FIND(hnf_emitted) FIND(hnf_layers) FIND(hnf_take_tones)
+    FIND(hnf_gather_sidebands)
     printf("version %d, wide vectors %d\n", (int)hnf_abi_(), (int)hnf_has_wide_vectors_());
 
     fill(amplitude, 5 * BANDS), fill(waves, BANDS * COUNT), fill(cubic, 16);
@@ -147,8 +148,11 @@ int main(int given, char **words)
         tokens[i] = i % FEATURES == 0 ? -5.0 + uniform() : uniform() - 0.3;
     for (int i = 0; i < STATES; i++)
         touch[i] = (hnf_touch){6.0 * uniform(), 0.02 + 0.2 * uniform(), 1e-4 * uniform(), 5e4, 160.0, 0.02, 900.0, 1.1, 2.0};
+    double weakest[TOKEN];
+    for (int b = 0; b < TOKEN; b++)
+        weakest[b] = 0.05 * (b + 1);
     hnf_tables tables = {ARC, TOKEN, FEATURES, ANGLES, 0, 1, 2, 3, 4, 5, 6, kappa, below, between, nearest, wavelength,
-                         turn, shift, 24.0, 20.0, 0.1, 1e-9, 25e3, 16e3};
+                         weakest, turn, shift, 24.0, 20.0, 0.1, 1e-9, 25e3, 16e3, 0.15, 0.3, 0.05};
     hnf_contact contact = {power, noise, normal, lines, low};
     hnf_linear_contact_(&tables, tokens, TOKEN * FEATURES, touch, STATES, room, &contact);
     say("power", power, STATES * ARC, 9), say("noise", noise, STATES * ARC, 9), say("normal", normal, STATES, 9);
@@ -175,6 +179,17 @@ int main(int given, char **words)
     fill(head, STATES * OUTPUTS);
     hnf_emitted_(&tables, &emitter, head, motion, &expected, STATES, room, alpha);
     say("emitted", alpha, STATES * (EDGES + ARC), 6);
+    static double crests[2 * STATES], onto_path[2 * STATES], uneven[STATES], apart[4 * STATES];
+    int64_t chosen[2 * STATES];
+    for (int i = 0; i < 2 * STATES; i++)
+        chosen[i] = i % 2 ? TOKEN + 1 : 1, crests[i] = i % 5 ? 400.0 : 0.0, onto_path[i] = crests[i] * uniform();
+    for (int i = 0; i < STATES; i++)
+        uneven[i] = i % 3 ? 5e-5 : 0.0;
+    hnf_path_lines lattice = {chosen, crests, onto_path, uneven, apart, 2};
+    hnf_take_tones_(&tables, &emitter, head, motion, &expected, STATES, &lattice);
+    hnf_emitted_(&tables, &emitter, head, motion, &expected, STATES, room, alpha);
+    hnf_gather_sidebands_(&tables, &emitter, STATES, &lattice, room, alpha);
+    say("apart", apart, 4 * STATES, 6), say("left", alpha, STATES * (EDGES + ARC), 6);
     const float *given_panels[4] = {panels[0], panels[1], panels[2], panels[3]};
     const float *given_biases[4] = {biases[0], biases[1], biases[2], biases[3]};
     int64_t widths[5] = {20, 19, 17, 11, 3};
@@ -194,6 +209,37 @@ int main(int given, char **words)
     const double *felt_of[2] = {felt, felt + 20};
     hnf_press_(part, STATES, tokens, 2, felt_of, rows_of, 3, 20, -2, STATES, pressed);
     say("press", pressed, STATES * 20, 9);
+    hnf_normal_contact tip = {2e-5, 2.5e-6, 0.13, 28.6, 10.0, 5e-5};
+    double mode[5] = {-0.6, 1.2, -0.6, -1.84, 0.92}, moved[4] = {-1e-5, 0.0, 0.0, 0.0}, struck[COUNT / 2];
+    for (int i = 0; i < COUNT; i++)
+        level[i] = i < COUNT / 2 ? 2.0 * sin(i * 6.2832 / COUNT) : 0.0;
+    hnf_tap_(&tip, mode, 1, level, COUNT, 2, moved, struck);
+    say("tap", struck, COUNT / 2, 9), say("moved", moved, 4, 9);
+    hnf_moving_contact drawn_over = {2e-5, 2.5e-6, 0.13, 28.6, 10.0, 13000.0, 640.0, 0.4, 0.5, 1e-3, 1.6e4, 30.0, 5e-5};
+    double drives[5 * (COUNT + 2)], dragged[5] = {-1e-5, 0.0, 0.0, 0.0, 0.1}, upward[COUNT], along[COUNT];
+    for (int i = 0; i < COUNT + 2; i++) {
+        drives[i] = 1e-6 * sin(0.05 * i), drives[COUNT + 2 + i] = 1e-2 * cos(0.05 * i);
+        drives[2 * (COUNT + 2) + i] = 0.02, drives[3 * (COUNT + 2) + i] = 1.0, drives[4 * (COUNT + 2) + i] = 0.5;
+    }
+    hnf_contact_motion_(&drawn_over, drives, COUNT + 2, COUNT, dragged, upward, along);
+    say("upward", upward, COUNT, 9), say("along", along, COUNT, 9), say("dragged", dragged, 5, 9);
+    double phases[4] = {0.1, 0.2, 3.1, 5.2}, waves[2] = {500.0, 1000.0}, loud[12], factors[3] = {1.0, 2.0, 3.0};
+    double onward[COUNT], sung[COUNT] = {0.0}, shifts[8], begins[6], displaced[2 * 50];
+    int64_t ends[2] = {0, COUNT};
+    for (int i = 0; i < 12; i++)
+        loud[i] = uniform();
+    for (int i = 0; i < COUNT; i++)
+        onward[i] = 1e-5 * i;
+    for (int i = 0; i < 100; i++)
+        displaced[i] = cos(0.3 * i);
+    for (int i = 0; i < 8; i++)
+        shifts[i] = 0.02 * i;
+    for (int i = 0; i < 6; i++)
+        begins[i] = 0.618 * (i + 1);
+    hnf_tones_course lines = {phases, waves, shifts, loud, factors, begins, ends, 2, 2, 3, 2, COUNT};
+    hnf_displacement moved_lines = {displaced, 50, -1e-4, 1e4};
+    hnf_tones_(&lines, &moved_lines, onward, onward, 0, COUNT, sung);
+    say("tones", sung, COUNT, 5);
     kept[0] = kept[99] = 1;
     hnf_bends_(drawn, 100, 3, 0.25, kept);
     int bends = 0;

@@ -22,7 +22,7 @@ from mathutils import Vector
 
 from hnf_blender import compat, props
 from hnf_blender.bridge.importers import open_empty_scene
-from hnf_blender.bridge.scene.suppress_output import suppress_output
+from hnf_blender.bridge.scene.temp_scene import suppress_output
 from hnf_core.files import write_atomically
 
 RENDER_SIZE = (960, 540)

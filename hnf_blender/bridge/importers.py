@@ -23,7 +23,7 @@ from hnf_core.scene.ply import read_ply_header
 from hnf_core.scene.splats.io_ply import check_splat_file
 
 from .scene.stored_data import show_vertex_colours
-from .scene.suppress_output import suppress_output
+from .scene.temp_scene import suppress_output
 
 EXPORT_MESHES = ("mesh.obj", "poisson_mesh.ply", "tsdf_mesh.ply", "sdf_marching_cubes_mesh.ply")
 EXPORT_SPLATS = "splat.ply"

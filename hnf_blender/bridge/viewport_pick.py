@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hnf_core.action.contacts import compute_tangents
 from hnf_core.material.hnf_file import MaterialFile, from_library, with_library_defaults
 from hnf_core.material.library import Appearance, LibraryMaterial, get_material, load_library
-from hnf_core.material.ranking import rank
+from hnf_core.material.ranking import expect_material, rank
 from hnf_core.material.token import TOKEN_DIM, Token
 
 from ..translations import tr
@@ -375,4 +375,5 @@ def _guess_material(obj: Any, shader: Any) -> LibraryMaterial:
 
     appearance = Appearance() if shader is None else read_stated_appearance(shader)
     names = ["" if shader is None else shader.name, obj.name, obj.data.name]
-    return get_material(rank(load_library(), appearance, names, image_names=list_texture_names(shader))[0].name)
+    library = load_library()
+    return expect_material(library, rank(library, appearance, names, image_names=list_texture_names(shader)))

@@ -19,7 +19,7 @@ from hnf_core.errors import FileError, HnfError
 from hnf_core.touch_request import TouchQuery
 
 from ..bridge.scene.scene_names import find_object
-from ..bridge.scene.suppress_output import suppress_output
+from ..bridge.scene.temp_scene import suppress_output
 from ..bridge.shader.images import check_images_saved
 from ..state.addon_settings import get_cache_folder
 from ..state.job_results import QueryView

@@ -19,13 +19,14 @@ from ..state.session_state import STATE, PlanLine, PlanView, suppress_change_tra
 from ..touch.bake_plan import (
     PREDICTION_SECONDS,
     SYNTHESIS_SECONDS,
+    describe_stated_heights,
     estimate_closeup_seconds,
     estimate_max_patches,
     plan_slots,
 )
 from ..touch.bake_storage import check_validity, clear_bake, count_stored_bytes, has_tokens
+from ..touch.report import Freshness, StrokeStatus
 from ..touch.session import GatheredJobs, Session, StrokeJob, add_scene_notes, gather_curve_jobs, make_scene_session
-from ..touch.stroke_status import Freshness, StrokeStatus
 from ..translations import tr
 from .job_runner import is_up_to_date
 
@@ -68,7 +69,7 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
         statuses[failure.stroke] = StrokeStatus(Freshness.BROKEN, failure.why)
         lines.append(PlanLine("failed", stroke_label.format(name=failure.stroke), failure.why))
     lines += [PlanLine("skipped", skipped.what, tr(skipped.why)) for skipped in gathered.skipped]
-    lines += [PlanLine("note", note, "") for note in gathered.notes]
+    lines += [PlanLine("note", note, "") for note in (*gathered.notes, *describe_stated_heights(session, needed))]
     template = tr("material '{name}': no relief in its shader; one is estimated from its picture.")
     lines += [PlanLine("note", template.format(name=name), "") for name in predicted_materials]
     return PlanView(tuple(lines), seconds, _estimate_bytes(session, gathered, needed), scene.name)

@@ -15,9 +15,9 @@ from ..bridge.scene.stored_data import FaceTokens, write_tokens
 from ..bridge.splats.splat_cloud import get_cloud, require_writable, write_point_tokens
 from ..state.session_state import STATE, suppress_change_tracking
 from ..touch.bake_storage import make_status, save_bake
+from ..touch.report import Freshness
 from ..touch.session import InputHashes, Session, make_scene_session
 from ..touch.stroke_bake import StrokeBake
-from ..touch.stroke_status import Freshness
 from .request import BakedFile, JobResult, Rejection, TokenFile, unpack_tokens
 
 MAX_ROUNDS = 3

@@ -19,13 +19,12 @@ from hnf_core.progress import Progress
 from hnf_core.touch_request import TouchQuery
 
 from ..bridge.scene.scene_names import find_object, get_scene_name
-from ..bridge.scene.suppress_output import suppress_output
+from ..bridge.scene.temp_scene import suppress_output
 from ..bridge.stroke.read_stroke import list_strokes
 from ..touch.bake_storage import check_validity, find_shared_sources, group_by_mesh, has_tokens, make_face_tokens
-from ..touch.report import Report
+from ..touch.report import Freshness, Report
 from ..touch.session import Session, StrokeJob, gather_curve_jobs, make_scene_session
 from ..touch.stroke_bake import make_stroke_bake
-from ..touch.stroke_status import Freshness
 from ..touch.synthesise import BakedStroke, bake_strokes, synthesise_stroke
 from .child_job import Failed, Finished, Message, Started, Step, encode_message
 from .query_job import run_query_job
@@ -92,7 +91,7 @@ def run_job(request: JobRequest, folder: Path, send: Callable[[Message], None] =
     def send_progress(progress: Progress) -> None:
         send(Step(progress.stage, progress.done, progress.total, progress.share))
 
-    baked_strokes = bake_strokes(session, jobs, cache, report, on_stroke, send_progress)
+    baked_strokes = bake_strokes(session, jobs, cache, report, on_stroke, send_progress, with_alternatives=True)
     return JobResult(
         strokes=tuple(files),
         meshes=_write_tokens(session, baked_strokes, folder),

@@ -28,6 +28,7 @@ from ..state.interface import set_icon
 from ..state.job_results import NearestMaterial, QueryView, Relief
 from ..state.session_state import STATE
 from ..touch.bake_patches import get_token
+from ..touch.material_choice import format_likely
 from ..touch.query import QueryResult, describe_map_source, query_surface
 from ..touch.report import Counts
 from .child_job import Started, Step
@@ -86,15 +87,17 @@ def pack_query_result(result: QueryResult, scene_name: str) -> bytes:
         "library_material": result.material.library.name,
         "confidence": result.material.confidence,
         "reason": result.material.reason,
+        "likely": format_likely(result.material),
         "roughness_m": float(np.sqrt(np.sum(result.band_rms_m**2))),
         "seen_m": result.observed_rms_m,
         "friction": result.friction.value,
         "friction_factor": result.friction.factor,
         "stiffness_n_m": result.stiffness.value,
         "stiffness_factor": result.stiffness.factor,
-        "routes": format_routes(result.fused.routes),
+        "routes": format_routes(result.fused.routes, result.record.mesh_bands),
         "source": describe_map_source(result),
         "notes": list(result.notes),
+        "is_height_doubted": bool(result.material.doubt),
         "scene": scene_name,
     }
     nearest = [

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from hnf_core.errors import HnfError, SceneError
-from hnf_core.material.probe import PROBES
+from hnf_core.material.probe import PROBE_NAMES
 from hnf_core.units import m_to_mm, mm_to_m
 
 from ..bridge.scene.object_size import get_metres_per_unit
@@ -18,7 +18,7 @@ from .context import DEFAULT_PROBE, fail_poll, format_error, make_active_and_vis
 
 PROBE_ITEMS = [
     (DEFAULT_PROBE, "Default", "The default probe set in the preferences"),
-    *((name, name.capitalize(), f"Touch with the {name}") for name in PROBES),
+    *((name, name.replace("-", " ").capitalize(), f"Touch with the {name}") for name in PROBE_NAMES),
 ]
 TIMING_ITEMS = (
     ("HAND", "As drawn", "The stroke takes as long as your hand did: its timing becomes progress keys"),

@@ -78,6 +78,33 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # bpy has no typ
         return {"FINISHED"}
 
 
+class HNF_OT_export_action(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.export_action"
+    bl_label = "Export Action Table"
+    bl_description = (
+        "Write direction, speed and force of the active stroke over time into the export folder, as a table that hnf "
+        "synth reads with its option for actions. It needs no bake"
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if get_active_stroke(context) is None:
+            return fail_poll(cls, "This scene has no stroke to export")
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview.export_stroke import export_action
+
+        try:
+            path = export_action(get_active_stroke(context), context)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        template = tr("{count} written to {folder}: {names}")
+        self.report({"INFO"}, template.format(count=1, folder=path.parent, names=path.name))
+        return {"FINISHED"}
+
+
 class HNF_OT_export_copy(bpy.types.Operator):  # type: ignore[misc]
     bl_idname = "hnf.export_copy"
     bl_label = "Copy Export Report"
@@ -153,4 +180,4 @@ class HNF_OT_add_speaker(bpy.types.Operator):  # type: ignore[misc]
         return {"FINISHED"}
 
 
-CLASSES = (HNF_OT_export, HNF_OT_export_copy, HNF_OT_add_to_sequencer, HNF_OT_add_speaker)
+CLASSES = (HNF_OT_export, HNF_OT_export_action, HNF_OT_export_copy, HNF_OT_add_to_sequencer, HNF_OT_add_speaker)

@@ -14,7 +14,7 @@ import bpy
 
 from hnf_core.errors import FileError, HnfError, SceneError
 from hnf_core.progress import Cancelled, Progress, ProgressCallback, ignore_progress
-from hnf_core.scene.scale import MAX_LENGTH_M, MIN_LENGTH_M, compute_metric_scale
+from hnf_core.units import MAX_LENGTH_M, MIN_LENGTH_M, compute_metric_scale
 
 from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..compat import beside_the_file
@@ -39,13 +39,19 @@ SPEAKER_PEAK_SHARE = 0.9
 class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types, Blender's naming
     bl_idname = "hnf.import_material"
     bl_label = "Touch Material (.hnf)"
-    bl_description = "Make a surface feel like the material in a .hnf file. The choice is locked: no bake overwrites it"
+    bl_description = (
+        "Make a surface feel like the material in a .hnf file, or in weights of hnf train field (.safetensors). The "
+        "choice is locked: no bake overwrites it"
+    )
     bl_options = UNDOABLE
 
     filepath: bpy.props.StringProperty(
-        name="File", description="The .hnf file", subtype="FILE_PATH", options={"SKIP_SAVE"} | beside_the_file()
+        name="File",
+        description="The .hnf or .safetensors file",
+        subtype="FILE_PATH",
+        options={"SKIP_SAVE"} | beside_the_file(),
     )
-    filter_glob: bpy.props.StringProperty(default="*.hnf", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.hnf;*.safetensors", options={"HIDDEN"})
     target: bpy.props.StringProperty(
         name="Object", description="Object that receives it; empty: the active object", options={"SKIP_SAVE"}
     )
@@ -65,12 +71,12 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy h
         return self.execute(context)
 
     def execute(self, context: Any) -> set[str]:
-        from hnf_core.material.hnf_file import read_hnf
+        from hnf_core.field.weights import read_material_file
 
         from ..bridge.scene.material_definition import assign_definition, create_material
 
         try:
-            definition = read_hnf(Path(bpy.path.abspath(self.filepath)))
+            definition = read_material_file(Path(bpy.path.abspath(self.filepath)))
             obj = self._find_target(context)
             material = (
                 create_material(definition) if obj is None else assign_definition(obj, self._find_slot(obj), definition)

@@ -12,7 +12,7 @@ from ..preview.preview_state import PREVIEW
 from ..props.scene_settings import get_active_stroke
 from ..state.interface import redraw_tab
 from ..state.session_state import STATE
-from ..touch.stroke_status import Freshness
+from ..touch.report import Freshness
 from ..translations import tr
 from .context import fail_poll
 from .stroke_ops import poll_active_stroke

@@ -13,6 +13,7 @@ from ..bridge.scene.object_size import get_metres_per_unit
 from ..compat import own_action
 from ..props.object_cache import CHANGES
 from ..props.scene_settings import find_index, find_stroke, get_active_stroke, has_strokes, list_strokes
+from ..state.labels import wrap_text
 from ..translations import tr
 from .context import (
     DEFAULT_PROBE,
@@ -39,6 +40,23 @@ def describe_primitive(primitive: Primitive) -> str:
 PRIMITIVE_ITEMS = [
     (name, name.replace("-", " ").capitalize(), describe_primitive(primitive)) for name, primitive in PRIMITIVES.items()
 ]
+
+
+DIALOG_PX, LINE_CHARACTERS = 480, 64
+"""Width of the dialog for words [px], and of a line of text in it [characters]."""
+
+
+def describe_words(words: str) -> tuple[str, str]:
+    """Return an icon, and what was understood of a stroke in words, or why it was not."""
+    from hnf_core.action.parse_stroke import parse_stroke
+
+    if not words.strip():
+        return "INFO", tr("For example: {words}").format(words="tap twice, then rub slowly in circles, 1 N")
+    try:
+        name = parse_stroke(words).name
+    except HnfError as error:
+        return "ERROR", format_error(error)
+    return "CHECKMARK", name.replace("mm-s", "mm/s").replace("-then-", ", then ").replace("-", " ")
 
 
 def find_surface_for_new_stroke(context: Any) -> Any:
@@ -97,8 +115,11 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
     )
     words: bpy.props.StringProperty(
         name="In words",
-        description="Instead of a ready one: 'scrape right to left, 1.5 N, 80 mm/s', 'rub gently'",
+        description="Instead of a ready one: 'scrape right to left, 1.5 N, 80 mm/s', 'tap twice, then rub in circles'",
         options={"SKIP_SAVE"},
+    )
+    dialog: bpy.props.BoolProperty(
+        name="Dialog", description="Ask for the words in a dialog", default=False, options={"HIDDEN", "SKIP_SAVE"}
     )
     slot: bpy.props.IntProperty(
         name="Material slot",
@@ -121,6 +142,27 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
             return fail_poll(cls, "Select the mesh object to touch")
         return True
 
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        if not self.dialog:
+            return self.execute(context)
+        return set(context.window_manager.invoke_props_dialog(self, width=DIALOG_PX))
+
+    def draw(self, _context: Any) -> None:
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        if not self.dialog:
+            layout.prop(self, "primitive")
+        layout.prop(self, "words")
+        if self.dialog or self.words.strip():
+            icon, text = describe_words(str(self.words))
+            column = layout.column(align=True)
+            column.scale_y = 0.8
+            for index, line in enumerate(wrap_text(text, LINE_CHARACTERS)):
+                column.label(text=line, icon="BLANK1" if index else icon, translate=False)
+        for name in ("slot", "seed", "probe"):
+            layout.prop(self, name)
+
     def execute(self, context: Any) -> set[str]:
         from hnf_core.action.parse_stroke import parse_stroke
 
@@ -131,6 +173,9 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         if self.slot >= max(1, len(surface.material_slots)):
             template = tr("'{name}' has no material slot {slot}; the first is 0")
             self.report({"ERROR"}, template.format(name=surface.name, slot=self.slot))
+            return {"CANCELLED"}
+        if self.dialog and not self.words.strip():
+            self.report({"ERROR"}, tr("Say a stroke in words, e.g. 'rub slowly in circles'"))
             return {"CANCELLED"}
         window = context.window
         if window is not None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..actuator.sound import Player, Sound
 from ..props.scene_settings import get_actuator_profile
 from ..state.session_state import STATE
-from ..touch.stroke_status import Freshness
+from ..touch.report import Freshness
 from ..translations import tr
 from .preview_state import PREVIEW, PreviewFacts
 from .sound_device import Speakers, compute_clipping_db

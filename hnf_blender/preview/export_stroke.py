@@ -19,7 +19,7 @@ from hnf_core.signal import Signal
 from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..props.scene_settings import CHOICE_BY_NAME, get_actuator_profile
 from ..state.session_state import STATE
-from ..touch.stroke_status import Freshness
+from ..touch.report import Freshness
 from ..translations import tr
 from .preview_state import PREVIEW
 from .sound_device import compute_monitor_gain
@@ -176,6 +176,23 @@ def export_stroke(obj: Any, context: Any, format_name: str) -> ExportResult:
         f"{CHOICE_BY_NAME[format_name].stem}{form.suffix}",
     )
     return export_signal(signal, form, path, _make_options(obj, context, form), blend)
+
+
+def export_action(obj: Any, context: Any) -> Path:
+    """Write a stroke's action as a table into the export folder; return its path. Raises HnfError."""
+    from hnf_core.action.action import write_action_csv
+
+    from ..bridge.scene.object_size import get_metres_per_unit
+    from ..bridge.stroke.surface_export import read_touched_surface
+    from ..touch.output_files import make_file_stem
+
+    scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
+    action = read_touched_surface(scene, depsgraph, get_metres_per_unit(scene), stroke=obj).action
+    if action is None:
+        raise SceneError("it touches no object of this scene.", where=f"stroke '{obj.name}'")
+    path = get_export_folder(scene) / f"{make_file_stem(obj.name)}-action.csv"
+    write_action_csv(path, action)
+    return path
 
 
 def _get_blend_name(obj: Any) -> str:

@@ -24,6 +24,7 @@ from hnf_core.errors import HnfError, StrokeError
 from hnf_core.field.synthesis import RenderedStroke, Superseded, blend, render_incremental, split_by_field
 from hnf_core.field.weights import load_field
 from hnf_core.files import content_hash
+from hnf_core.material.fuse import LOUDEST_M_S2
 from hnf_core.signal import Signal
 from hnf_core.units import seconds_to_frame
 
@@ -126,7 +127,7 @@ class PreviewResult:
     confidence : float
         Confidence, 0 to 1, as `hnf touch` reports it.
     warnings : tuple of str
-        Warnings, as `hnf touch` reports them.
+        Warnings of the synthesis, and those on heights that are not believed, as `hnf touch` reports them.
     rendered : int
         Number of samples that had to be rendered.
     image : (512, 512, 4) float32 array
@@ -167,6 +168,8 @@ def synthesise_preview(
 ) -> PreviewResult:
     """Synthesize a stroke and draw its image, starting from the cached signal of the same path if there is one.
 
+    If the force decides whether the heights of a relief are believed, it does so here as in `hnf touch`.
+
     Parameters
     ----------
     now : CurrentBake
@@ -185,10 +188,20 @@ def synthesise_preview(
     StrokeError
         If the stroke cannot be synthesized.
     """
-    bake = now.bake
+    bakes = [bake for bake in (now.bake, now.bake.alternative) if bake is not None]
+    for bake in sorted(bakes, key=lambda bake: bake.is_softened):
+        result = _synthesise_bake(now, bake, style, cache, is_superseded)
+        if result.signal.rms <= LOUDEST_M_S2:
+            break
+    return result
+
+
+def _synthesise_bake(
+    now: CurrentBake, bake: StrokeBake, style: ImageStyle, cache: RenderCache, is_superseded: Callable[[], bool]
+) -> PreviewResult:
     field_parts, renders = split_by_field(load_field(), bake.stroke), []
     for field_part in field_parts:
-        key = f"{bake.path_key} {field_part.field.identity}"
+        key = f"{bake.path_key} {field_part.field.identity} {bake.is_softened}"
         earlier = cache.get(key)
         if earlier is not None and earlier.prepared.seed != bake.seed:
             earlier = None
@@ -206,7 +219,7 @@ def synthesise_preview(
     action = bake.stroke.action
     image = draw_stroke_image(signal, action, style)
     return PreviewResult(
-        now.name, now.stamp, signal, action, confidence, blended.warnings,
+        now.name, now.stamp, signal, action, confidence, (*blended.warnings, *bake.doubts),
         sum(render.rendered_count for render in renders),
         image,
         style,
@@ -300,6 +313,5 @@ class SynthesisThread:
 
 def _count_bytes(rendered: RenderedStroke) -> int:
     prepared = rendered.prepared
-    arrays = (prepared.amplitude, prepared.profile_amplitude, prepared.unbridged, prepared.audible, rendered.samples)
-    waves = () if prepared.bands is None else prepared.bands.waves
-    return sum(array.nbytes for array in (*arrays, *waves) if isinstance(array, np.ndarray))
+    arrays = (prepared.amplitude, prepared.motion, prepared.audible, rendered.samples)
+    return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))

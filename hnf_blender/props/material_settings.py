@@ -1,4 +1,4 @@
-"""Property group Material.hnf_touch: the haptic library material that the user chose for a Blender material.
+"""Property group Material.hnf_touch: the library material chosen for a Blender material, and its height's right.
 
 Also here: registration of property groups, all of which allow library overrides, so that a linked stroke can be set
 differently in this file.
@@ -44,6 +44,15 @@ class HnfMaterial(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no 
             "look"
         ),
         default="",
+        override=OVERRIDABLE,
+    )
+    height_as_authored: bpy.props.BoolProperty(
+        name="Height as Authored",
+        description=(
+            "Feel the shader's relief as high as it is drawn, although no surface is known to be so high. Off: its "
+            "shape is felt at the height of the material that it is taken for"
+        ),
+        default=False,
         override=OVERRIDABLE,
     )
 

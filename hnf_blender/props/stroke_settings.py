@@ -8,7 +8,7 @@ edits them.
 
 import bpy
 
-from hnf_core.material.probe import PROBES
+from hnf_core.material.probe import PROBE_NAMES
 
 from .material_settings import OVERRIDABLE, register_pointer, unregister_pointer
 
@@ -89,7 +89,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
     probe: bpy.props.EnumProperty(
         name="Probe",
         description="What touches the surface",
-        items=[(name, name.capitalize(), f"Touch with the {name}") for name in PROBES],
+        items=[(name, name.replace("-", " ").capitalize(), f"Touch with the {name}") for name in PROBE_NAMES],
         default="pen",
         override=OVERRIDABLE,
     )

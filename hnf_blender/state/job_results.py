@@ -46,6 +46,8 @@ class QueryView:
         Full name of the Blender material; "" for none.
     library_material, confidence, reason : str, float, str
         Library material assumed there, its confidence and the reason.
+    likely : str
+        What it could be, with probabilities; "" if one alone is felt.
     roughness_m : float
         RMS height over all bands [m].
     seen_m : float or None
@@ -66,6 +68,8 @@ class QueryView:
         Icon of the close-up; 0 for none.
     scene : str
         Name of the scene.
+    is_height_doubted : bool
+        True if the relief there has the height of the library material, since its own is not believed.
     """
 
     object_name: str
@@ -74,6 +78,7 @@ class QueryView:
     library_material: str
     confidence: float
     reason: str
+    likely: str
     roughness_m: float
     seen_m: float | None
     friction: float
@@ -86,6 +91,7 @@ class QueryView:
     notes: tuple[str, ...]
     icon: int
     scene: str
+    is_height_doubted: bool = False
 
 
 @dataclass(frozen=True)

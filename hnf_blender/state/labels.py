@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from ..touch.stroke_status import Freshness, StrokeStatus
+from ..touch.report import Freshness, StrokeStatus
 from ..translations import tr
 from .session_state import JobStatus, PlanLine, PlanView
 
@@ -39,8 +39,10 @@ RELIEF_PREFIX = "its relief"
 """Beginning of a part of a ranking reason that is about relief."""
 ROUTE_LABELS = {
     "measured": "seen in the shader's relief",
+    "measured from the mesh": "seen in the mesh's relief",
     "predicted": "estimated from the picture",
     "prior": "taken from the library",
+    "learned": "learned from recordings",
 }
 """Plain text of the routes of a band."""
 
@@ -158,7 +160,7 @@ def format_routes(routes: str) -> tuple[str, ...]:
     """Format "8–2 mm measured, 1–0.125 mm prior" as one line per wavelength band, in the user's words."""
     lines = []
     for band in filter(None, routes.split(", ")):
-        match = re.fullmatch(r"(.* mm) (\w+)", band)
+        match = re.fullmatch(r"(.*? mm) (.+)", band)
         if match is None or match[2] not in ROUTE_LABELS:
             lines.append(band)
         else:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..bridge.scene.scene_names import get_scene_name
 from ..props.object_cache import ChangeCache
-from ..touch.stroke_status import StrokeStatus
+from ..touch.report import StrokeStatus
 
 if TYPE_CHECKING:
     from hnf_core.material.ranking import Suggestion

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bridge.scene.scene_names import SceneNames, find_object
-from ..touch.stroke_status import Freshness, StrokeStatus
+from ..touch.report import Freshness, StrokeStatus
 from ..translations import tr
 from .session_state import STATE, suppress_change_tracking
 
@@ -65,7 +65,7 @@ class StatusTracker:
         self._session: Session | None = None
         self._stamp: object = None
         self._settings: dict[str, object] = {}
-        self._choices: dict[str, str] = {}
+        self._choices: dict[str, tuple[str, bool]] = {}
         self.mark_changed(EVERYTHING)
 
     @property
@@ -135,7 +135,9 @@ class StatusTracker:
             if obj is None or self._settings[name] != previous:
                 changed.add(name if obj is None else obj.name)
         chosen_materials = {
-            material.name: material.hnf_touch.library for material in bpy.data.materials if material.hnf_touch.library
+            material.name: (material.hnf_touch.library, material.hnf_touch.height_as_authored)
+            for material in bpy.data.materials
+            if material.hnf_touch.library or material.hnf_touch.height_as_authored
         }
         changed |= {name for name, _ in chosen_materials.items() ^ self._choices.items()}
         self._choices = chosen_materials
@@ -245,13 +247,22 @@ def _compute_status(session: Session, obj: Any) -> StrokeStatus:
     from hnf_core.errors import HnfError
 
     from ..touch.bake_storage import check_validity
+    from ..touch.material_choice import format_stated_note
 
     surface = obj.hnf_stroke.surface
     if surface is not None and surface.mode == "EDIT":
         reason = tr("'{name}' is in Edit Mode.").format(name=surface.name)
         return StrokeStatus(Freshness.UNKNOWN, reason, object_name=surface.name)
     try:
-        return check_validity(obj, session.make_curve_job(obj))
+        job = session.make_curve_job(obj)
+        status = check_validity(obj, job)
+        facts = session.get_facts(find_object(session.scene, job.object_name))
+        stated = {name: height for name, height in zip(facts.materials, facts.stated_heights_m, strict=True) if height}
+        doubted = tuple(dict.fromkeys((*status.doubted_shaders, *stated)))
+        if status.freshness is not Freshness.UNBAKED:
+            return status._replace(doubted_shaders=doubted)
+        notes = (format_stated_note(name, height) for name, height in stated.items())
+        return status._replace(doubted_shaders=doubted, warnings=(*status.warnings, *notes))
     except HnfError as error:
         reason = str(error)
     except Exception as error:  # An unexpected error must not end the timer.

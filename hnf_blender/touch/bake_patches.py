@@ -19,12 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core import __version__
+from hnf_core.errors import SceneError
 from hnf_core.field.weights import load_field, read_encoders
 from hnf_core.files import content_hash
 from hnf_core.material.encoder_registry import Encoder, describe_views, get_default_encoder, get_encoder
+from hnf_core.material.fuse import BAND_COUNT, FusedToken, fuse, fuse_measured_over_predicted
 from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.library import Appearance
-from hnf_core.material.token import Token
+from hnf_core.material.token import BAND_FEATURES, Token, band_slice
 from hnf_core.progress import Progress, ProgressCallback, ignore_progress
 from hnf_core.scene.camera import Patch
 from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict_tactile_maps
@@ -222,6 +224,8 @@ class TouchedObject:
         True if a slot's shader has a relief.
     view_layer : bpy.types.ViewLayer
         View layer in which it is touched; it may be in other scenes too.
+    heights_as_authored : tuple of bool
+        True if a slot's relief is meant to be as high as its shader makes it.
     """
 
     obj: Any
@@ -236,6 +240,7 @@ class TouchedObject:
     splat_source: str = ""
     has_relief: tuple[bool, ...] = ()
     view_layer: Any = None
+    heights_as_authored: tuple[bool, ...] = ()
 
     def uses_splats(self, slot: int) -> bool:
         """Return True if a slot is rendered from splats; a relief of its shader takes precedence."""
@@ -325,9 +330,9 @@ def bake_patches(
                 closeup = render_closeup(missing[key]) if key in missing else None
                 wait_for_descriptions()
                 if closeup is not None:
-                    counts.close_ups += 1
-                    counts.renders += closeup.renders
-                    counts.rays += closeup.rays
+                    counts.add("close_ups")
+                    counts.add("renders", closeup.renders)
+                    counts.add("rays", closeup.rays)
                 progress(Progress(CLOSEUP_STAGE, done, len(patch_by_key)))
                 pending.append(executor.submit(describe, key, closeup))
             wait_for_descriptions()
@@ -398,14 +403,14 @@ def _add_prediction(
         if not views:
             return record
         prediction = predictor.predict(record.unlit, views, seed)
-        counts.diffusion_calls += 1
-        counts.tokens += 1
+        counts.add("diffusion_calls")
+        counts.add("tokens")
         save_prediction(folder, name, prediction)
     return replace(record, predicted=prediction)
 
 
 def get_measured_map(record: PatchRecord) -> TactileMap | None:
-    """Return the tactile map computed from a patch's own height; None if its shader gave none."""
+    """Return the tactile map computed from a patch's own height; None if neither shader nor mesh gave one."""
     if record.height is None:
         return None
     image = render_sensor_image(record.height, record.metres_per_pixel, get_sensor(SENSOR))
@@ -415,33 +420,75 @@ def get_measured_map(record: PatchRecord) -> TactileMap | None:
     )  # fmt: skip
 
 
+def scale_height(record: PatchRecord, gain: float, source: str, encoder: Encoder) -> PatchRecord:
+    """Return a record with its height multiplied by `gain`, described anew; `source` tells where the height is from."""
+    if record.height is None:
+        return record
+    scaled = replace(
+        record,
+        height=record.height * np.float32(gain),
+        height_source=source,
+        height_peak_to_peak_m=record.height_peak_to_peak_m * gain,
+    )
+    tactile = get_measured_map(scaled)
+    assert tactile is not None
+    token = encoder.describe(tactile)
+    return replace(scaled, token=token.values, known=token.known, encoder=encoder.name)
+
+
 def get_widest_map(record: PatchRecord) -> TactileMap | None:
-    """Return the tactile map of a patch to show, measured or predicted: the widest view; None without a map."""
-    return get_measured_map(record) if record.predicted is None else make_predicted_maps(record.predicted)[0]
+    """Return the tactile map of a patch to show: the measured one, else the widest predicted view; None without."""
+    if record.height is None and record.predicted is not None:
+        return make_predicted_maps(record.predicted)[0]
+    return get_measured_map(record)
 
 
 def get_token(record: PatchRecord) -> Token | None:
     """Return the token of a patch's tactile map, measured or predicted; None without a map."""
-    if record.predicted is not None:
-        return record.predicted.token
-    return None if record.token is None or record.known is None else Token(record.token, record.known)
+    if record.token is not None and record.known is not None:
+        return Token(record.token, record.known)
+    return None if record.predicted is None else record.predicted.token
+
+
+def get_shader_token(record: PatchRecord) -> Token | None:
+    """Return the token of a patch without the bands that come from its mesh; None if no other is known."""
+    token = get_token(record)
+    if token is None or not any(record.mesh_bands):
+        return token
+    known = token.known.copy()
+    for band in np.flatnonzero(record.mesh_bands):
+        known[band_slice(int(band))] = False
+    known[BAND_COUNT * len(BAND_FEATURES) :] = False
+    return Token(token.values, known) if known.any() else None
+
+
+def fuse_patch(record: PatchRecord, material: Token | NDArray[np.float32], confidence: float) -> FusedToken:
+    """Complete the token of a patch from its maps and a library material's token of the given confidence."""
+    prior = material.values if isinstance(material, Token) else material
+    measured = get_token(record)
+    if record.predicted is not None and measured is not None and record.route is Route.MEASURED:
+        return fuse_measured_over_predicted(measured, record.predicted.token, prior, confidence)
+    return fuse(measured, prior, confidence, record.route)
 
 
 def get_resolved_wavelength(record: PatchRecord) -> float:
     """Return the shortest wavelength that a patch's tactile map resolves [m]; inf without a map."""
-    return record.resolved_wavelength_m if record.predicted is None else record.predicted.resolved_wavelength_m
+    if record.predicted is None or record.route is Route.MEASURED:
+        return record.resolved_wavelength_m
+    return record.predicted.resolved_wavelength_m
 
 
 def get_map_source(record: PatchRecord) -> str:
     """Describe what a patch's tactile map was made from, such as an image; "" without a map."""
     if record.predicted is None or record.unlit is None:
         return record.height_source
-    return f"estimated from {record.unlit.source}"
+    estimate = f"estimated from {record.unlit.source}"
+    return f"{record.height_source}; the rest {estimate}" if record.height_source else estimate
 
 
 def get_encoder_name(record: PatchRecord) -> str:
     """Return the name of the encoder that made a patch's token from its tactile map; "" without a map."""
-    return record.encoder if record.predicted is None else record.predicted.encoder
+    return record.encoder if record.predicted is None or record.encoder else record.predicted.encoder
 
 
 def compute_mean_appearance(records: Sequence[PatchRecord]) -> Appearance:
@@ -461,19 +508,24 @@ def _average_known(values: Sequence[float | None]) -> float | None:
 
 
 def _make_record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: Counts) -> PatchRecord:
-    """Make the record of a patch from its close-up; a token is encoded only if the shader has micro-geometry."""
+    """Make the record of a patch from its close-up; a token is encoded only if there is a height."""
     tactile, token = None, None
     if closeup.height is not None:
-        tactile = tactile_map_from_height(
-            closeup.height,
-            closeup.mask,
-            closeup.metres_per_pixel,
-            closeup.resolved_wavelength_m,
-            sensor=SENSOR,
-            height_source=closeup.height_source,
-        )
+        try:
+            tactile = tactile_map_from_height(
+                closeup.height,
+                closeup.mask,
+                closeup.metres_per_pixel,
+                closeup.resolved_wavelength_m,
+                sensor=SENSOR,
+                height_source=closeup.height_source,
+            )
+        except SceneError as error:
+            raise SceneError(error.what, where=f"object '{surface.object_name}'", remedy=error.remedy) from None
         token = encoder.describe(tactile)
-        counts.tokens += 1
+        for band in np.flatnonzero(closeup.empty_bands):
+            token.known[band_slice(int(band))] = False
+        counts.add("tokens")
     faces = closeup.faces if surface.source_face is None else surface.source_face[closeup.faces]
     return PatchRecord(
         height=None if tactile is None else tactile.height,
@@ -489,4 +541,5 @@ def _make_record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: C
         notes=closeup.notes,
         unlit=closeup.unlit,
         encoder="" if token is None else encoder.name,
+        mesh_bands=closeup.mesh_bands,
     )

@@ -10,21 +10,32 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from hnf_core.action.contacts import find_contacts
+from hnf_core.action.patches import plan_patches
+from hnf_core.action.stroke_placement import sample_candidates, smooth_for_placement
+from hnf_core.errors import HnfError, pluralize
 from hnf_core.files import content_hash
+from hnf_core.material.hnf_file import MaterialFile
+from hnf_core.scene.camera import Patch
+from hnf_core.scene.mesh import has_fine_faces
 from hnf_core.tactile.tactile_map import Route
-from hnf_core.text import pluralize
 from hnf_core.touch_request import TouchRequest
 
+from ..bridge.render.closeup import crop_to_patches, find_mesh_relief
 from ..bridge.render.unlit_image import MAX_READABLE_WAVELENGTH_M
+from ..bridge.scene.meshes import make_ray_caster
 from ..bridge.scene.scene_names import find_object
 from ..bridge.shader.closures import ReliefSource
-from .material_choice import CHOSEN_BY_ARTIST
+from .bake_patches import PATCH_PIXELS
+from .material_choice import CHOSEN_BY_ARTIST, format_own_relief_note, format_stated_note
 from .overview import MAX_STROKE_VIEWS
 from .report import REPORT_NAME, SCHEMA, Failed, Skipped, StrokeReport, add_option_hint
 from .session import GatheredJobs, Session, StrokeJob
@@ -370,11 +381,14 @@ class Plan:
     def renders(self) -> int:
         """Upper bound for the number of renders.
 
-        Each close-up takes two; of the views in the plots, the one by the scene's camera is shared, and each stroke may
-        need one of its own.
+        Each close-up takes two, and each slot with a relief one more, which chooses the sampling. Of the views in the
+        plots, the one by the scene's camera is shared, and each stroke may need one of its own.
         """
         plots = len(self.needed) + self.pictures
-        return RENDERS_PER_CLOSEUP * self.close_ups + MAX_STROKE_VIEWS * plots + min(1, plots)
+        slots = [slot for entry in self.needed for slot in entry.slots]
+        slots += [query.slot for query in self.probes if query.slot is not None and query.close_ups]
+        looks = sum(slot.route is Route.MEASURED for slot in slots)
+        return RENDERS_PER_CLOSEUP * self.close_ups + looks + MAX_STROKE_VIEWS * plots + min(1, plots)
 
     @property
     def close_ups(self) -> int:
@@ -465,6 +479,75 @@ TOO_COARSE_NOTE = f"its picture shows no waves below {MAX_READABLE_WAVELENGTH_M 
 """Finding of a close-up that makes the route of a slot prior, where the plan expected to predict its relief."""
 
 
+MAX_EXAMINED_PATCHES = 12
+"""Maximum number of patches of a stroke that a plan examines for relief of the mesh."""
+
+
+def find_mesh_waves(session: Session, obj: Any, patches: Sequence[Patch]) -> dict[str, float]:
+    """Return material → shortest wave [m] that its mesh shows under patches, by rays; nothing is rendered."""
+    surface = session.get_surface(obj)
+    fine = {slot for slot in {patch.slot for patch in patches} if has_fine_faces(surface.mesh, slot)}
+    patches = [patch for patch in patches if patch.slot in fine]
+    patches = patches[:: len(patches) // MAX_EXAMINED_PATCHES + 1]
+    waves: dict[str, float] = {}
+    if not patches or session.get_facts(obj).splat_source:
+        return waves
+    near = crop_to_patches(surface, patches)
+    caster = make_ray_caster(near.mesh)
+    for patch in patches:
+        relief = find_mesh_relief(near, patch, caster, PATCH_PIXELS)
+        if relief is not None:
+            name = surface.materials[patch.slot] if patch.slot < len(surface.materials) else ""
+            waves[name] = min(waves.get(name, np.inf), relief.resolved_wavelength_m)
+    return waves
+
+
+def _find_mesh_waves(session: Session, job: StrokeJob) -> dict[str, float]:
+    """Return `find_mesh_waves` under a job's stroke, or where it may be placed; {} if it cannot be read."""
+    obj = find_object(session.scene, job.object_name)
+    try:
+        mesh = session.get_surface(obj).mesh
+        if job.stroke is not None:
+            contacts = find_contacts(job.stroke.samples, job.stroke.get_surface(mesh))
+            return find_mesh_waves(session, obj, plan_patches(contacts)[0])
+        slots = sorted(set(mesh.slot.tolist())) if job.slot is None else [job.slot]
+        patches: list[Patch] = []
+        for slot in slots:
+            centre, x_axis, normal = sample_candidates(smooth_for_placement(mesh, slot) or mesh, slot)
+            picked = range(0, len(centre), max(len(centre) // 4, 1))
+            patches += [Patch(centre[i], x_axis[i], normal[i], slot) for i in picked]
+        return find_mesh_waves(session, obj, patches)
+    except HnfError:  # the bake will say so
+        return {}
+
+
+def add_mesh_relief(slots: Iterable[SlotPlan], waves: Mapping[str, float]) -> tuple[SlotPlan, ...]:
+    """Return slot plans in which relief of the mesh is named; `waves` is material → its shortest wave [m]."""
+    plans = []
+    for slot in slots:
+        if slot.material not in waves:
+            plans.append(slot)
+            continue
+        ridges = f"ridges of its mesh, waves from {waves[slot.material] * 1e3:.2g} mm"
+        if slot.route is Route.PRIOR:
+            plans.append(replace(slot, route=Route.MEASURED, why=f"from {ridges}; other waves: {slot.why}"))
+        else:
+            plans.append(replace(slot, why=f"{slot.why}; {ridges}, are measured"))
+    return tuple(plans)
+
+
+def describe_stated_heights(session: Session, jobs: Iterable[StrokeJob]) -> list[str]:
+    """Return a note on each material under strokes whose shader states a height that will not be believed."""
+    facts = [session.get_facts(find_object(session.scene, name)) for name in {job.object_name: None for job in jobs}]
+    notes = [
+        format_stated_note(name, height)
+        for each in facts
+        for name, height in zip(each.materials, each.stated_heights_m, strict=True)
+        if height
+    ]
+    return list(dict.fromkeys(notes))
+
+
 def plan_slots(session: Session, job: StrokeJob) -> tuple[SlotPlan, ...]:
     """Return the expected route of each slot that a job's stroke may touch.
 
@@ -533,17 +616,16 @@ def describe_shader_reliefs(session: Session, gathered: GatheredJobs) -> list[st
         obj, choices = find_object(session.scene, name), session.get_choices(name)
         facts = session.get_facts(obj)
         for slot, (material, relief_source) in enumerate(zip(facts.materials, facts.relief_sources, strict=True)):
-            library = choices.get(slot) or choices.get(None)
-            if library and relief_source is ReliefSource.RELIEF:
-                notes.append(
-                    f"material '{material}' on '{name}': the relief of its shader is kept; {library} gives friction, "
-                    "stiffness and the bands that this relief does not show."
-                )
+            choice = choices.get(slot) or choices.get(None)
+            learned = isinstance(choice, MaterialFile) and choice.field
+            if choice and relief_source is ReliefSource.RELIEF and not learned:
+                library = choice.name if isinstance(choice, MaterialFile) else choice
+                notes.append(format_own_relief_note(material, name, library))
     return notes
 
 
 def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, source: str) -> Plan:
-    """Make the plan of a run, without rendering or casting rays.
+    """Make the plan of a run, without rendering. Rays are cast if the plan is all that was asked for.
 
     `previous` is the earlier run in the output folder, `source` the hash of the scene's files.
     """
@@ -558,14 +640,18 @@ def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, s
         shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
         why = "changed since the last run" if previous.has_name(job.name) else "not baked yet"
         routes = plan_slots(session, job)
+        if session.request.plan_only:
+            routes = add_mesh_relief(routes, _find_mesh_waves(session, job))
         needed.append(PlannedBake(job.name, job.object_name, shader, estimate_max_patches(length), why, routes))
     folder, rerun_reason = session.request.out, RerunReason.NOTHING
     if fresh and folder is not None:
         rerun_reason = previous.get_rerun_reason(gathered.jobs, source, folder / get_blend_name(session))
+    to_bake = [job for job in gathered.jobs if job.name not in fresh_entries]
+    notes = (*gathered.notes, *describe_stated_heights(session, to_bake))
     # If the file is the same, only a plot without a key may be outdated.
     pictures = sum(previous.source != source or not entry.picture_key for entry in fresh_entries.values())
     return Plan(
-        tuple(needed), tuple(fresh), tuple(gathered.skipped), tuple(gathered.failed), tuple(gathered.notes),
+        tuple(needed), tuple(fresh), tuple(gathered.skipped), tuple(gathered.failed), notes,
         pictures=pictures, again=rerun_reason,
     )  # fmt: skip
 

@@ -27,9 +27,9 @@ from ..bridge.splats.splat_cloud import compute_cloud_frame, get_cloud, read_clo
 from ..props.scene_settings import find_index
 from ..translations import tr
 from .bake_patches import TouchedObject, get_encoder_name
+from .report import Freshness, StrokeStatus
 from .session import InputHashes, Session, StrokeJob, SurfaceFacts
 from .stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
-from .stroke_status import Freshness, StrokeStatus
 from .synthesise import BakedStroke
 
 
@@ -228,7 +228,11 @@ def check_validity(obj: Any, job: StrokeJob) -> StrokeStatus:
 
 def make_status(bake: StrokeBake, freshness: Freshness, why: str = "") -> StrokeStatus:
     """Make the status that the panels show of a bake; `why` is the reason if it is not fresh."""
-    facts = bake.facts
+    facts, notes = bake.facts, bake.notes
+    doubted = facts.get("height_doubted", "").splitlines()
+    if freshness is Freshness.FORCE and bake.alternative is not None:
+        doubted += bake.alternative.facts.get("height_doubted", "").splitlines()
+        notes = tuple(note for note in notes if note not in bake.doubts)  # the preview tells those of the new force
     return StrokeStatus(
         freshness,
         why,
@@ -237,8 +241,10 @@ def make_status(bake: StrokeBake, freshness: Freshness, why: str = "") -> Stroke
         library_material=facts.get("library_material", ""),
         routes=facts.get("routes", ""),
         confidence=bake.confidence,
-        warnings=(*bake.warnings, *bake.notes),
+        warnings=(*bake.warnings, *notes),
         shader=facts.get("material", ""),
+        doubted_shaders=tuple(dict.fromkeys(doubted)),
+        likely=facts.get("likely", ""),
     )
 
 

@@ -1,26 +1,36 @@
-"""Decide which library material a material slot is: the user's choice if there is one, else the best-ranked one."""
+"""Decide which library material a material slot is: the user's choice, or what it could be, weighed.
+
+Without a choice the best-ranked material gives the name; what is felt is the expectation over the ranking.
+If the height of the slot's relief is not to be believed, its shape gets the height of that material.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hnf_core.errors import MaterialError
 from hnf_core.field.field import Field
 from hnf_core.field.weights import load_material_field
-from hnf_core.material.fuse import merge_tokens
+from hnf_core.material.band_descriptor import measure_octave_heights
+from hnf_core.material.encoder_registry import Encoder
+from hnf_core.material.fuse import HEIGHT_LIMITS_M, FusedToken, compute_height_gain, is_too_high, merge_tokens
 from hnf_core.material.hnf_file import MaterialFile, with_library_defaults
 from hnf_core.material.library import LibraryMaterial, get_material, load_library
-from hnf_core.material.ranking import Suggestion, rank
+from hnf_core.material.ranking import ENOUGH_PROBABILITY, PICTURE_ODDS, Suggestion, expect_material, rank
 from hnf_core.material.token import Token
 from hnf_core.tactile.tactile_map import Route
+from hnf_core.units import m_to_mm
 
-from .bake_patches import TouchedObject, compute_mean_appearance, get_token
+from .bake_patches import TouchedObject, compute_mean_appearance, fuse_patch, get_shader_token, scale_height
 from .patch_cache import PatchRecord
 
 CHOSEN_BY_ARTIST = "chosen by the artist"
+LIKELY_COUNT = 3
+"""Number of materials named where it could be several."""
 GUESS_CONFIDENCE = 0.3
 """Confidence below which nothing in the scene supports a material; a name or a distinct appearance gives more."""
 
@@ -33,15 +43,15 @@ class MaterialRequest:
 
     Attributes
     ----------
-    choices : Mapping[int or None, str]
-        Slot (None for any) → library material, from the command line.
+    choices : Mapping[int or None, str or MaterialFile]
+        Slot (None for any) → library material or content of a file, from the command line.
     stroke_material : str
         Library material set on the stroke, "" for none.
     where : str
         Stroke named in errors.
     """
 
-    choices: Mapping[int | None, str] = field(default_factory=dict)
+    choices: Mapping[int | None, str | MaterialFile] = field(default_factory=dict)
     stroke_material: str = ""
     where: str = ""
 
@@ -55,12 +65,17 @@ class SlotMaterial:
     shader : str
         Name of the Blender material.
     library : LibraryMaterial
+        What is felt: the material, or of the likeliest one's name the expectation over all that it could be.
     confidence : float
-        Probability of this material, 0 to 1.
+        Confidence in the kind of material, 0 to 1.
     reason : str
         Reason, for the report.
     field : Field or None
         Field that comes with the material, if it was learned.
+    doubt : str
+        Reason why the shape of the shader's relief has this material's height; "" if its own is kept.
+    likely : tuple of (str, float)
+        The first three that it could be, with their probabilities; empty if one alone is felt.
     """
 
     shader: str
@@ -68,15 +83,26 @@ class SlotMaterial:
     confidence: float
     reason: str
     field: Field | None = None
+    doubt: str = ""
+    likely: tuple[tuple[str, float], ...] = ()
 
 
 def format_certainty(material: SlotMaterial) -> str:
     """Describe how certain a slot's material is, and why."""
-    return (
-        CHOSEN_BY_ARTIST
-        if material.reason == CHOSEN_BY_ARTIST
-        else f"{material.confidence:.0%} sure of it ({material.reason})"
-    )
+    if material.reason == CHOSEN_BY_ARTIST:
+        return CHOSEN_BY_ARTIST
+    what = f"{material.library.category}: {format_likely(material)}" if material.likely else "it"
+    return f"{material.confidence:.0%} sure of {what} ({material.reason})"
+
+
+def format_likely(material: SlotMaterial) -> str:
+    """Format the first three that a slot's material could be; "" if one alone is felt."""
+    return ", ".join(f"{name} {probability:.0%}" for name, probability in material.likely)
+
+
+def round_likely(material: SlotMaterial) -> dict[str, float]:
+    """Return the first three that a slot's material could be with rounded probabilities, for the report."""
+    return {name: round(probability, 4) for name, probability in material.likely}
 
 
 def format_guess_note(material: SlotMaterial, object_name: str) -> str:
@@ -122,7 +148,7 @@ def _find_choice(touched: TouchedObject, slot: int, request: MaterialRequest) ->
 def decide_material(
     touched: TouchedObject, slot: int, request: MaterialRequest, records: Sequence[PatchRecord]
 ) -> SlotMaterial:
-    """Return the library material of a slot: the user's choice, else the best-ranked.
+    """Return the library material of a slot: the user's choice, else the expectation over the ranking.
 
     `records` are the results of the slot's patches, whose appearance and relief count in the ranking.
     """
@@ -132,8 +158,11 @@ def decide_material(
         choice, _ = _find_choice(touched, slot, request)
         field = load_material_field(choice) if isinstance(choice, MaterialFile) else None
         return SlotMaterial(shader, chosen, 1.0, CHOSEN_BY_ARTIST, field)
-    best = rank_materials(touched, slot, records)[0]
-    return SlotMaterial(shader, get_material(best.name), best.confidence, best.reason)
+    ranked = rank_materials(touched, slot, records)
+    best, by_probability = ranked[0], sorted(ranked, key=lambda suggestion: -suggestion.probability)
+    is_one = best.probability >= ENOUGH_PROBABILITY
+    likely = () if is_one else tuple((each.name, each.probability) for each in by_probability[:LIKELY_COUNT])
+    return SlotMaterial(shader, expect_material(load_library(), ranked), best.confidence, best.reason, likely=likely)
 
 
 def rank_materials(touched: TouchedObject, slot: int, records: Sequence[PatchRecord]) -> tuple[Suggestion, ...]:
@@ -146,18 +175,22 @@ def rank_materials(touched: TouchedObject, slot: int, records: Sequence[PatchRec
     token, route = merge_relief(records)
     texture_names = touched.texture_names[slot] if slot < len(touched.texture_names) else ()
     return rank(
-        load_library(), compute_mean_appearance(records), names, image_names=texture_names, token=token, route=route
-    )
+        load_library(), compute_mean_appearance(records), names, image_names=texture_names, token=token, route=route,
+        look=PICTURE_ODDS if any(record.unlit is not None for record in records) else {},
+    )  # fmt: skip
 
 
 def merge_relief(records: Sequence[PatchRecord]) -> tuple[Token | None, Route]:
     """Return the merged token of a slot's patches, weighted by area, and its route (measured, predicted or prior).
 
-    Only patches of the best route that any of them has are used; None and Route.PRIOR if none shows a relief.
+    Only patches of the best route that any of them has are used; None and Route.PRIOR if none shows a relief. Relief of
+    the mesh does not count: ridges are modelled in any material.
     """
     for route in (Route.MEASURED, Route.PREDICTED):
         described = [
-            (token, record) for record in records if record.route is route and (token := get_token(record)) is not None
+            (token, record)
+            for record in records
+            if record.route is route and (token := get_shader_token(record)) is not None
         ]
         if described:
             sizes = [max(np.count_nonzero(record.mask), 1) * record.metres_per_pixel**2 for _, record in described]
@@ -169,3 +202,126 @@ def get_shader_name(touched: TouchedObject, slot: int) -> str:
     """Return the name of the Blender material in a slot, "" if there is none."""
     materials = touched.surface.materials
     return materials[slot] if slot < len(materials) else ""
+
+
+TOO_LOUD_DOUBT = "so much that no pen stays on it at this speed"
+"""Reason to doubt a height that would shake the pen more than `LOUDEST_M_S2`."""
+
+
+def settle_slot(
+    touched: TouchedObject,
+    slot: int,
+    request: MaterialRequest,
+    records: Sequence[PatchRecord],
+    encoder: Encoder,
+    doubt: str = "",
+) -> tuple[SlotMaterial, tuple[PatchRecord, ...]]:
+    """Decide the material of a slot and the height of its relief.
+
+    Parameters
+    ----------
+    touched : TouchedObject
+        Touched object.
+    slot : int
+        Material slot.
+    request : MaterialRequest
+        The user's choices.
+    records : sequence of PatchRecord
+        Results of the slot's patches.
+    encoder : Encoder
+        Encoder of measured maps, which describes a relief whose height was changed.
+    doubt : str, optional
+        Reason to doubt the relief's height; "" for none but the height itself.
+
+    Returns
+    -------
+    material : SlotMaterial
+        The material, with the reason if the relief has its height.
+    records : tuple of PatchRecord
+        The results; with the material's height if that of the relief is not to be believed.
+    """
+    if slot < len(touched.heights_as_authored) and touched.heights_as_authored[slot]:
+        return decide_material(touched, slot, request, records), tuple(records)
+    heights = [_measure_if_high(record) for record in records]
+    if not any(record.height is not None for record in records):
+        doubt = ""
+    if not doubt and not any(each is not None and is_too_high(each) for each in heights):
+        return decide_material(touched, slot, request, records), tuple(records)
+    doubt = doubt or "more than any surface is known to have"
+    # Metres that are not believed must not tell which material it is.
+    shapeless = [replace(record, height=None, token=None, known=None) for record in records]
+    material = replace(decide_material(touched, slot, request, shapeless), doubt=doubt)
+    return material, _take_library_height(records, material, encoder)
+
+
+def _measure_if_high(record: PatchRecord) -> NDArray[np.float64] | None:
+    """Return the RMS heights of a record's octaves [m]; None without a relief or for one that is certainly low."""
+    if record.height is None or record.height_peak_to_peak_m < 2.0 * HEIGHT_LIMITS_M.min():
+        return None
+    return measure_octave_heights(record.height, record.mask, record.metres_per_pixel)
+
+
+def _take_library_height(
+    records: Sequence[PatchRecord], material: SlotMaterial, encoder: Encoder
+) -> tuple[PatchRecord, ...]:
+    """Return the records with one factor on all heights, so that their mean power is that of the library material."""
+    measured = [record for record in records if record.height is not None]
+    if not measured:
+        return tuple(records)
+    octaves = np.sqrt(np.mean([np.square(_measure_octaves(record)) for record in measured], axis=0))
+    resolved = max(record.resolved_wavelength_m for record in measured)
+    gain = compute_height_gain(octaves, resolved, material.library.token)
+    return tuple(
+        scale_height(record, gain, f"shape of {record.height_source}, height of {material.library.name}", encoder)
+        for record in records
+    )
+
+
+def _measure_octaves(record: PatchRecord) -> NDArray[np.float64]:
+    assert record.height is not None
+    return measure_octave_heights(record.height, record.mask, record.metres_per_pixel)
+
+
+def fuse_record(record: PatchRecord, material: SlotMaterial) -> FusedToken:
+    """Complete the token of a patch with its slot's material.
+
+    A height that was taken from the material is as certain as the material.
+    """
+    fused = fuse_patch(record, material.library.token, material.confidence)
+    return replace(fused, confidence=min(fused.confidence, material.confidence)) if material.doubt else fused
+
+
+def format_doubt_note(material: SlotMaterial, object_name: str, before_m: float, after_m: float) -> str:
+    """Return the note that a relief has the height of its material, and how to insist on its own; "" if it has not.
+
+    `before_m` and `after_m` are its heights from top to bottom [m].
+    """
+    if not material.doubt:
+        return ""
+    return (
+        f"material '{material.shader}' on '{object_name}': its relief is {format_height(before_m)} from top to "
+        f"bottom, {material.doubt}; its shape is felt at the height of {material.library.name} "
+        f"({format_height(after_m)}). If it is meant, tick Height as Authored under Materials in the Touch tab."
+    )
+
+
+def format_own_relief_note(shader: str, object_name: str, library: str) -> str:
+    """Return the note that a material given on the command line does not replace the relief of the shader."""
+    return (
+        f"material '{shader}' on '{object_name}': the relief of its shader is kept; {library} gives friction, "
+        "stiffness and the bands that this relief does not show."
+    )
+
+
+def format_stated_note(shader: str, height_m: float) -> str:
+    """Return the note that a shader states a height [m] that will not be believed if it is true, and how to insist."""
+    return (
+        f"material '{shader}': its shader says {format_height(height_m)} of relief; if that is true, more than any "
+        "surface has, its shape is felt at the height of what it is taken for. If it is meant, tick Height as Authored "
+        "under Materials in the Touch tab."
+    )
+
+
+def format_height(metres: float) -> str:
+    """Format a height [m] for a person, in m or mm."""
+    return f"{metres:.3g} m" if metres >= 1.0 else f"{m_to_mm(metres):.3g} mm"

@@ -19,9 +19,9 @@ from hnf_core.files import content_hash, write_atomically, write_bytes
 from hnf_core.material.fuse import routes_by_band
 from hnf_core.signal import Signal
 
-from ..bridge.scene.suppress_output import suppress_output
+from ..bridge.scene.temp_scene import suppress_output
 from .bake_patches import get_encoder_name, get_resolved_wavelength, get_widest_map
-from .material_choice import SlotMaterial, format_certainty
+from .material_choice import SlotMaterial, format_certainty, round_likely
 from .report import StrokeReport
 from .session import StrokeJob
 from .synthesise import BakedStroke, SynthesisedStroke, add_provenance, get_signal_facts, make_stroke_input
@@ -61,8 +61,8 @@ def write_stroke_files(
         The stroke's entry of the report.
     """
     main, patch = baked.main_material, baked.main_patch
-    record, fused = baked.records[patch], baked.fused[patch]
-    routes = routes_by_band(fused.routes)
+    record = baked.records[patch]
+    routes = routes_by_band(baked.main_routes, record.mesh_bands)
     resolved = get_resolved_wavelength(record)
     facts = get_signal_facts(baked)
     library_names = facts["library_material"]
@@ -79,6 +79,10 @@ def write_stroke_files(
         object=job.object_name,
         material=main.shader,
         library_material=library_names,
+        fields={
+            entry.library.name: "shared" if entry.field is None else entry.field.metadata.get("training_data", "own")
+            for entry in baked.materials.values()
+        },
         routes=routes,
         resolved_wavelength_m=resolved if np.isfinite(resolved) else None,
         height_source=facts["height_source"],
@@ -97,6 +101,7 @@ def write_stroke_files(
         encoder=get_encoder_name(record),
         tactile_map_weights="" if record.predicted is None else record.predicted.weights,
         picture_key=picture_key,
+        likely=round_likely(main),
     )
 
 
@@ -173,5 +178,6 @@ def format_material_line(object_name: str, materials: Sequence[SlotMaterial]) ->
 
 def _format_height_line(source: str, resolved: float) -> str:
     if not np.isfinite(resolved):
-        return "no bump, normal or displacement in the shader"
+        nothing = "no bump, normal or displacement in the shader, no relief in the mesh that can be felt"
+        return f"{source}: no wave that can be felt" if source else nothing
     return f"{source}; resolves waves from {resolved * 1e3:.2g} mm"

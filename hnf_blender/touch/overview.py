@@ -261,7 +261,7 @@ class StrokeViews:
                 self._scene, metres_per_unit=self._metres, samples=_get_sample_count(), relief=True
             )
             self._overviews = self._stack.enter_context(overviews)
-        self._counts.renders += 1
+        self._counts.add("renders")
         return Overview(*self._overviews.render_view(camera_view.camera, self._list_objects(camera_view, touched)))
 
     def _list_objects(self, camera_view: CameraView, touched: Any) -> list[Any]:

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from hnf_core.files import NPZ_ERRORS, write_bytes
 from hnf_core.material.library import Appearance
 from hnf_core.material.token import Token
+from hnf_core.progress import add_work
 from hnf_core.tactile.tactile_map import Route
 
 from ..bridge.render.unlit_image import UnlitImage
 
-PATCH_VERSION = 4
+PATCH_VERSION = 5
 """Version of the files of patches; part of every key."""
 PREDICTION_VERSION = 1
 """Version of the files of predictions."""
@@ -66,7 +67,7 @@ class PatchRecord:
     Attributes
     ----------
     height : (H, W) float32 array or None
-        Height [m]; None if the shader has no micro-geometry.
+        Height [m]; None if neither shader nor mesh has micro-geometry.
     mask : (H, W) bool array
         Pixels of the patch's own surface.
     metres_per_pixel : float
@@ -76,7 +77,7 @@ class PatchRecord:
     height_source : str
         Description for the report.
     height_peak_to_peak_m : float
-        Peak-to-peak of the shader's own height [m], 0 without.
+        Peak-to-peak of the height [m] before it is limited to what its sources resolve, 0 without.
     token, known : array or None
         Token of the measured tactile map and which of its values are known.
     appearance : Appearance
@@ -86,11 +87,13 @@ class PatchRecord:
     notes : tuple of str
         Warnings for the user.
     unlit : UnlitImage or None
-        Unlit image, if there is no height and the color varies.
+        Unlit image, if the shader has no height and the color varies.
     encoder : str
         Name of the encoder E of `token`.
     predicted : Prediction or None
         Prediction from `unlit`, if wanted; stored in a file of its own.
+    mesh_bands : tuple of bool
+        For each wavelength band, True if the mesh gives most of the height; empty if it gives none.
     """
 
     height: NDArray[np.float32] | None
@@ -107,6 +110,7 @@ class PatchRecord:
     unlit: UnlitImage | None = None
     encoder: str = ""
     predicted: Prediction | None = None
+    mesh_bands: tuple[bool, ...] = ()
 
     @property
     def route(self) -> Route:
@@ -136,6 +140,7 @@ def _read_patch(path: Path, _written_ns: int, _bytes: int) -> PatchRecord | None
     The last records stay in memory while the file's time and size (the other arguments) are unchanged: strokes of a
     scene often cross the same place, and unpacking takes longer than everything else that a stroke needs.
     """
+    add_work("patch_files", item=str(path))
     with np.load(path, allow_pickle=False) as data:
         if int(data["version"]) != PATCH_VERSION:
             return None
@@ -154,6 +159,7 @@ def _read_patch(path: Path, _written_ns: int, _bytes: int) -> PatchRecord | None
             notes=tuple(str(note) for note in data["notes"]),
             unlit=_unpack_unlit_image(data) if bool(data["pictured"]) else None,
             encoder=str(data["encoder"]),
+            mesh_bands=tuple(bool(is_mesh) for is_mesh in data["mesh_bands"]),
         )
 
 
@@ -182,6 +188,7 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
         "notes": np.array(record.notes, dtype=np.str_),
         "pictured": np.array(record.unlit is not None),
         "encoder": np.array(record.encoder),
+        "mesh_bands": np.array(record.mesh_bands, dtype=np.bool_),
     }
     if record.unlit is not None:
         arrays |= {
@@ -195,8 +202,10 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
 
 def load_prediction(folder: Path, key: str) -> Prediction | None:
     """Load a patch's predicted tactile maps by their cache key; None if they are missing or damaged."""
+    path = folder / f"{key}.npz"
+    add_work("patch_files", item=str(path))
     try:
-        with np.load(folder / f"{key}.npz", allow_pickle=False) as data:
+        with np.load(path, allow_pickle=False) as data:
             if int(data["prediction"]) != PREDICTION_VERSION:
                 return None
             return Prediction(

@@ -18,18 +18,17 @@ from typing import Any
 import numpy as np
 
 from hnf_core.action.surface_point import SurfacePoint, find_point_at_uv, find_point_near, select_slot
-from hnf_core.errors import HnfError
+from hnf_core.errors import HnfError, pluralize
 from hnf_core.export.plots.figure import write_tactile_map_figure
 from hnf_core.field.features import token_distances
 from hnf_core.files import write_bytes
-from hnf_core.material.fuse import FusedToken, fuse, routes_by_band
+from hnf_core.material.fuse import FusedToken, routes_by_band
 from hnf_core.material.library import LibraryMaterial, load_library
 from hnf_core.material.ranking import PropertyEstimate, Suggestion, estimate_property, get_probabilities
 from hnf_core.material.token import TOKEN_DIM, band_slice
 from hnf_core.progress import Cancelled, Progress, ProgressCallback, ignore_progress, nest_progress
 from hnf_core.simulation.material_classes import DEFAULT_SCATTER
 from hnf_core.tactile.tactile_map import Route, TactileMap
-from hnf_core.text import pluralize
 from hnf_core.touch_request import TouchQuery
 from hnf_core.units import m_to_mm
 
@@ -43,17 +42,27 @@ from .bake_patches import (
     explain_skipped,
     get_map_source,
     get_resolved_wavelength,
-    get_token,
     get_widest_map,
 )
-from .bake_plan import Plan, PlannedQuery, plan_object_slots, read_previous_run
+from .bake_plan import (
+    Plan,
+    PlannedQuery,
+    add_mesh_relief,
+    find_mesh_waves,
+    plan_object_slots,
+    read_previous_run,
+)
 from .material_choice import (
     MaterialRequest,
     SlotMaterial,
-    decide_material,
     find_chosen_material,
+    format_certainty,
+    format_doubt_note,
+    fuse_record,
     get_shader_name,
     rank_materials,
+    round_likely,
+    settle_slot,
 )
 from .output_files import make_file_stem
 from .patch_cache import PatchRecord, load_patch
@@ -182,9 +191,14 @@ def query_surface(
     chosen = find_chosen_material(touched, slot, request)
     chosen_slots = () if chosen is None else (slot,)
     (record,) = bake_patches(touched, [point.patch], cache, counts, session.predictor, chosen_slots, progress)
-    material = decide_material(touched, slot, request, [record])
-    fused = fuse(get_token(record), material.library.token, material.confidence, record.route)
-    ranked = rank_materials(touched, slot, [record])
+    authored_m = record.height_peak_to_peak_m
+    material, (settled,) = settle_slot(touched, slot, request, [record], session.predictor.measured_encoder)
+    fused = fuse_record(settled, material)
+    ranked = rank_materials(
+        touched, slot, [replace(record, height=None, token=None, known=None) if material.doubt else record]
+    )
+    record = settled
+    doubt_note = format_doubt_note(material, touched.surface.object_name, authored_m, record.height_peak_to_peak_m)
     library = _include_material(material.library)
     weights = get_probabilities(library, ranked) if chosen is None else {chosen.name: 1.0}
     skipped_note = format_skipped_note(session, material, record, chosen is not None)
@@ -200,7 +214,7 @@ def query_surface(
         stiffness=estimate_property(library, weights, "stiffness_n_m", DEFAULT_SCATTER.stiffness),
         nearest=find_nearest_materials(fused, ranked),
         ranked=ranked,
-        notes=_collect_notes(touched, point, record, skipped_note),
+        notes=_collect_notes(touched, point, record, doubt_note, skipped_note),
     )
 
 
@@ -245,11 +259,9 @@ def format_skipped_note(session: Session, material: SlotMaterial, record: PatchR
     return f"material '{material.shader}': {session.predictor.missing_reason or explain_skipped(record.unlit)}."
 
 
-def _collect_notes(
-    touched: TouchedObject, point: SurfacePoint, record: PatchRecord, skipped_note: str
-) -> tuple[str, ...]:
-    """Collect the remarks of surface, place and patch for the user."""
-    notes = [*touched.surface.notes, *point.notes, *record.notes, *([skipped_note] if skipped_note else [])]
+def _collect_notes(touched: TouchedObject, point: SurfacePoint, record: PatchRecord, *more: str) -> tuple[str, ...]:
+    """Collect the remarks of surface, place and patch for the user, with `more` of them, "" for none."""
+    notes = [*touched.surface.notes, *point.notes, *record.notes, *(note for note in more if note)]
     if not point.tangent_known:
         notes.append(
             f"object '{touched.surface.object_name}' has no usable UVs there: directions are counted from the object's "
@@ -295,7 +307,7 @@ def make_query_entry(result: QueryResult, files: dict[str, Any] | None) -> dict[
 
     `files` are the names of its image and .npz files, None without a tactile map.
     """
-    routes = routes_by_band(result.fused.routes)
+    routes = routes_by_band(result.fused.routes, result.record.mesh_bands)
     rms = result.band_rms_m
     return {
         "name": result.name,
@@ -305,6 +317,7 @@ def make_query_entry(result: QueryResult, files: dict[str, Any] | None) -> dict[
         "confidence": round(result.fused.confidence, 4),
         "material_confidence": round(result.material.confidence, 4),
         "reason": result.material.reason,
+        "likely": round_likely(result.material),
         "place": _describe_place(result),
         "routes": routes,
         "roughness": {
@@ -393,7 +406,7 @@ def _make_captions(result: QueryResult, tactile: TactileMap) -> tuple[str, ...]:
     return (
         f"Relief from: {describe_map_source(result)}{height}.",
         f"{result.material.shader or 'No material'} → {result.material.library.name}, "
-        f"{result.material.confidence:.0%}; roughness {roughness:.3g} µm RMS.",
+        f"{format_certainty(result.material)}; roughness {roughness:.3g} µm RMS.",
     )
 
 
@@ -447,6 +460,8 @@ def add_queries(session: Session, plan: Plan) -> Plan:
             continue
         slot, plans = point.patch.slot, plan_object_slots(session, touched.obj)
         route = plans[slot] if slot < len(plans) else None
+        if route is not None and session.request.plan_only:
+            (route,) = add_mesh_relief([route], find_mesh_waves(session, touched.obj, [point.patch]))
         close_ups = 0 if is_cached else 1
         planned.append(
             PlannedQuery(query.name, touched.surface.object_name, get_shader_name(touched, slot), close_ups, route)

@@ -1,4 +1,4 @@
-"""Contents of report.json: strokes and touch queries made, work done, what was skipped or failed, and why.
+"""Contents of report.json, what was made, skipped or failed, and why; and the status of a stroke's stored bake.
 
 Notes that refer to the Touch tab are completed with the command-line option of the same effect.
 """
@@ -9,10 +9,12 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 from hnf_core.files import write_text
+from hnf_core.progress import add_work
 
 SCHEMA = "hnf-touch-report-1"
 REPORT_NAME = "report.json"
@@ -25,7 +27,9 @@ class StrokeReport:
     Attributes
     ----------
     routes : Mapping[str, str]
-        Route by wavelength of the band.
+        Route by wavelength of the band; "learned" for a material that has a field of its own.
+    fields : Mapping[str, str]
+        Material → what its own field was trained on, "shared" for the shared field.
     fresh : bool
         True if the files of an earlier run are still valid.
     key : str
@@ -40,6 +44,8 @@ class StrokeReport:
         Hash of the weights of D_φ if the map was predicted, else "".
     picture_key : str
         Hash of everything the plot shows besides the touch.
+    likely : Mapping[str, float]
+        The first three library materials that it could be, by probability; empty if one alone is felt.
     """
 
     name: str
@@ -64,6 +70,8 @@ class StrokeReport:
     encoder: str = ""
     tactile_map_weights: str = ""
     picture_key: str = ""
+    likely: Mapping[str, float] = field(default_factory=dict)
+    fields: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -80,6 +88,10 @@ class Failed:
 
     stroke: str
     why: str
+
+
+ReportedWork = Literal["close_ups", "renders", "rays", "network_calls", "tokens", "diffusion_calls"]
+"""Kinds of work that a report lists, the names of the fields of `Counts`."""
 
 
 @dataclass
@@ -108,6 +120,11 @@ class Counts:
     network_calls: int = 0
     tokens: int = 0
     diffusion_calls: int = 0
+
+    def add(self, kind: ReportedWork, amount: int = 1) -> None:
+        """Add work to these counts and to those of `hnf_core.progress.count_work`."""
+        setattr(self, kind, getattr(self, kind) + amount)
+        add_work(kind, amount)
 
 
 @dataclass
@@ -176,6 +193,7 @@ def _replace_non_finite(value: Any) -> Any:
 OPTION_FOR_TAB_PLACE = {
     "Units in the Touch tab": "--scale METRES_PER_UNIT",
     "Feels in the Touch tab": "--material OBJECT[:SLOT]=NAME",
+    "Materials in the Touch tab": "--height-as-authored",
 }
 """Location in the Touch tab, as notes name it → command-line option with the same effect."""
 
@@ -184,3 +202,56 @@ def add_option_hint(note: str) -> str:
     """Append to a note the command-line option that has the effect of the setting it mentions, if there is one."""
     options = [option for location, option in OPTION_FOR_TAB_PLACE.items() if location in note]
     return f"{note} Here: {', '.join(options)}." if options else note
+
+
+class Freshness(Enum):
+    """State of a stroke's stored bake.
+
+    UNKNOWN: not checked since the last change. UNBAKED: there is none. FRESH: still valid. FORCE: only force, seed or
+    probe changed, which needs no bake. STALE: path, timing, surface or material changed; it must be baked again.
+    BROKEN: the stroke cannot be read.
+    """
+
+    UNKNOWN = "unknown"
+    UNBAKED = "unbaked"
+    FRESH = "fresh"
+    FORCE = "force"
+    STALE = "stale"
+    BROKEN = "broken"
+
+
+class StrokeStatus(NamedTuple):
+    """State of a stroke's stored bake, as the panels show it.
+
+    Attributes
+    ----------
+    freshness : Freshness
+    why : str
+        Reason, one sentence for the user.
+    duration_s : float
+        Duration of the baked stroke [s].
+    object_name, library_material, routes : str
+        Facts of the bake.
+    confidence : float
+        Confidence of the bake, 0 to 1.
+    warnings : tuple of str
+        Warnings and notes of the bake.
+    shader : str
+        Blender material that the stroke touches most.
+    doubted_shaders : tuple of str
+        Blender materials whose relief has the height of the library material, since its own is not believed.
+    likely : str
+        What the material could be, with probabilities; "" if one alone is felt.
+    """
+
+    freshness: Freshness
+    why: str = ""
+    duration_s: float = 0.0
+    object_name: str = ""
+    library_material: str = ""
+    routes: str = ""
+    confidence: float = 0.0
+    warnings: tuple[str, ...] = ()
+    shader: str = ""
+    doubted_shaders: tuple[str, ...] = ()
+    likely: str = ""

@@ -17,11 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from hnf_core.cli.commands import get_command_prefix
-from hnf_core.errors import FileError
+from hnf_core.errors import FileError, pluralize
 from hnf_core.export.plots.stroke_figure import StrokeView
 from hnf_core.files import content_hash, folder_lock
 from hnf_core.progress import Progress, ProgressBar, ProgressCallback, ignore_progress
-from hnf_core.text import pluralize
 from hnf_core.touch_request import TouchRequest
 
 from ..bridge.importers import open_scene
@@ -66,8 +65,8 @@ def print_summary(report: Report, request: TouchRequest) -> int:
         )
     for warning in report.warnings:
         print(f"note: {add_option_hint(warning)}", file=sys.stderr)
-    for failed in report.failed:
-        print(f"hnf: {failed.why}", file=sys.stderr)
+    for why in dict.fromkeys(failed.why for failed in report.failed):  # a file may have failed many strokes
+        print(f"hnf: {why}", file=sys.stderr)
     if not request.as_json:
         sys.stderr.flush()
         for line in format_closing(report, folder, with_strokes=not request.has_only_queries):
@@ -166,7 +165,8 @@ def _prepare(request: TouchRequest) -> _Prepared:
     opened = time.monotonic()
     session = _make_session(scene, request)
     gathered = skip_strokes(session) if request.has_only_queries else gather_jobs(session)
-    gathered.notes += describe_shader_reliefs(session, gathered)
+    if request.plan_only:
+        gathered.notes += describe_shader_reliefs(session, gathered)
     files = list_external_files(get_scene_path(request))
     source = hash_source_files(get_scene_path(request), files)
     previous = read_previous_run(request.out)

@@ -17,15 +17,15 @@ import numpy as np
 
 from hnf_core import __version__
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE, Primitive
-from hnf_core.errors import HnfError, SceneError
-from hnf_core.field.weights import load_field_for_encoders
+from hnf_core.errors import HnfError, SceneError, close_matches, format_choices
+from hnf_core.field.weights import load_field_for_encoders, read_material_file
 from hnf_core.files import content_hash
-from hnf_core.material.hnf_file import MaterialFile
+from hnf_core.material.fuse import HEIGHT_LIMITS_M
+from hnf_core.material.hnf_file import HNF_SUFFIX, MaterialFile
 from hnf_core.material.library import LIBRARY_PATH, get_material
-from hnf_core.text import close_matches, format_choices
 from hnf_core.touch_request import TouchRequest
 
-from ..bridge.scene.material_definition import get_artist_choice
+from ..bridge.scene.material_definition import get_artist_choice, is_height_authored
 from ..bridge.scene.meshes import (
     Surface,
     compute_surface_frame,
@@ -42,12 +42,12 @@ from ..bridge.scene.object_size import (
     is_visible,
 )
 from ..bridge.scene.scene_names import find_object, get_named_objects, get_scene_name
-from ..bridge.shader.closures import ReliefSource, find_relief_source, is_direct_image
+from ..bridge.shader.closures import ReliefSource, find_relief_source, get_stated_height, is_direct_image
 from ..bridge.shader.images import list_texture_names
 from ..bridge.shader.object_inputs import find_shader_inputs, format_object_inputs
 from ..bridge.shader.shader_hash import hash_material
 from ..bridge.splats.splat_cloud import get_cloud, get_cloud_source, get_reconstruction_notes, hash_cloud, is_cloud
-from ..bridge.stroke.place_primitive import choose_default_slots, place_primitive
+from ..bridge.stroke.place_primitive import choose_default_slots, place_primitive, shorten_name
 from ..bridge.stroke.read_stroke import SceneStroke, hash_path, hash_touch, list_strokes, read_stroke
 from .bake_patches import FIRST_PASS_PIXELS, PATCH_PIXELS, SENSOR, ReliefPredictor, TouchedObject
 from .patch_cache import PATCH_VERSION
@@ -277,7 +277,10 @@ class SurfaceFacts:
         Source of each slot's relief: its shader or splats.
     direct_images : tuple of bool
         True if that relief is read from images directly.
-    artist_choices, shape_hash, shader_hashes, owner_hash, texture_names, splat_source
+    stated_heights_m : tuple of float
+        Height that each slot's shader states and that is not believed if it is true (`is_too_high`), unless the user
+        insists; 0 for any other [m].
+    artist_choices, shape_hash, shader_hashes, owner_hash, texture_names, splat_source, heights_as_authored
         See TouchedObject.
     """
 
@@ -290,6 +293,8 @@ class SurfaceFacts:
     direct_images: tuple[bool, ...]
     texture_names: tuple[tuple[str, ...], ...]
     splat_source: str = ""
+    heights_as_authored: tuple[bool, ...] = ()
+    stated_heights_m: tuple[float, ...] = ()
 
 
 @dataclass
@@ -323,7 +328,7 @@ class Session:
         self._touched: dict[str, TouchedObject] = {}
         self._facts: dict[str, SurfaceFacts] = {}
         self._choices = [
-            (resolve_target(scene, choice.target), get_material(choice.material).name) for choice in request.choices
+            (resolve_target(scene, choice.target), _resolve_choice(choice.material)) for choice in request.choices
         ]
         library = content_hash(LIBRARY_PATH.read_bytes())
         self.predictor = ReliefPredictor(request.encoder)
@@ -380,6 +385,7 @@ class Session:
                 splat_source=facts.splat_source,
                 has_relief=tuple(source is ReliefSource.RELIEF for source in facts.relief_sources),
                 view_layer=self.view_layer,
+                heights_as_authored=facts.heights_as_authored,
             )
         return self._touched[name]
 
@@ -400,6 +406,11 @@ class Session:
             cloud = get_cloud(obj)
             cloud_hash = "" if cloud is None else hash_cloud(obj, cloud)
             relief_sources = tuple(find_relief_source(material) for material in slots)
+            authored = tuple(self.request.height_as_authored or is_height_authored(material) for material in slots)
+            stated_m = [
+                0.0 if insists or source is not ReliefSource.RELIEF else get_stated_height(each) * self.metres_per_unit
+                for each, insists, source in zip(slots, authored, relief_sources, strict=True)
+            ]
             self._facts[name] = SurfaceFacts(
                 materials=tuple("" if material is None else material.name for material in slots),
                 artist_choices=tuple("" if material is None else get_artist_choice(material) for material in slots),
@@ -412,6 +423,9 @@ class Session:
                 direct_images=tuple(is_direct_image(material) for material in slots),
                 texture_names=tuple(list_texture_names(material) for material in slots),
                 splat_source="" if cloud is None else get_cloud_source(cloud),
+                heights_as_authored=authored,
+                # A wave of this height is too high in whatever band it lies.
+                stated_heights_m=tuple(height if height > 2.0 * HEIGHT_LIMITS_M.max() else 0.0 for height in stated_m),
             )
         return self._facts[name]
 
@@ -430,9 +444,23 @@ class Session:
             for name in names & cache.keys():
                 del cache[name]
 
-    def get_choices(self, object_name: str) -> dict[int | None, str]:
-        """Return slot (None for any) → library material chosen for an object on the command line; the last counts."""
-        return {target.slot: material for target, material in self._choices if target.object_name == object_name}
+    def get_choices(self, object_name: str) -> dict[int | None, str | MaterialFile]:
+        """Return slot (None for any) → material chosen for an object on the command line; the last counts.
+
+        Raises the error of a file that could not be read.
+        """
+        choices: dict[int | None, str | MaterialFile] = {}
+        for target, material in self._choices:
+            if target.object_name == object_name:
+                if isinstance(material, HnfError):
+                    raise material
+                choices[target.slot] = material
+        return choices
+
+    def get_unused_errors(self, failed: Iterable[Failed]) -> list[str]:
+        """Return the errors of files, given for objects on the command line, that no failed stroke tells of."""
+        told = {each.why for each in failed}
+        return [str(choice) for _, choice in self._choices if isinstance(choice, HnfError) and str(choice) not in told]
 
     def get_relief_outlook(self, obj: Any, material: str = "") -> list[tuple[ReliefSource, bool]]:
         """Return for each slot of an object (what its relief can be read from, whether the user chose its material).
@@ -464,7 +492,7 @@ class Session:
             self.scene, obj, job.slot, job.primitive or DEFAULT_PRIMITIVE, self.metres_per_unit, self.depsgraph,
             seed=job.seed, name=job.name, surfaces=self.get_surface,
         )  # fmt: skip
-        counts.rays += placed.rays
+        counts.add("rays", placed.rays)
         return placed.curve
 
     def make_curve_job(self, curve: Any) -> StrokeJob:
@@ -490,7 +518,13 @@ class Session:
         """Hash the inputs of a stroke; `material` is the library material set on it."""
         obj = find_object(self.scene, object_name)
         facts = self.get_facts(obj)
-        choices = repr(sorted(self.get_choices(object_name).items(), key=repr))
+        given = [
+            (slot, choice if isinstance(choice, str) else content_hash(choice.to_bytes()))
+            for slot, choice in self.get_choices(object_name).items()
+        ]
+        choices = repr(sorted(given, key=repr))
+        if any(facts.heights_as_authored):
+            choices += repr(facts.heights_as_authored)
         needs_prediction = any(
             source is ReliefSource.VARYING_COLOUR and not chosen
             for source, chosen in self.get_relief_outlook(obj, material)
@@ -521,6 +555,19 @@ def _with_splats(source: ReliefSource) -> ReliefSource:
     return ReliefSource.RELIEF if source is ReliefSource.RELIEF else ReliefSource.VARYING_COLOUR
 
 
+def _resolve_choice(text: str) -> str | MaterialFile | HnfError:
+    """Return the library's name for a material, or the content of its file; the error of a file that is not usable.
+
+    Such a file fails the strokes on its object alone. Raises MaterialError for an unknown name.
+    """
+    if Path(text).suffix.lower() not in (HNF_SUFFIX, ".safetensors"):
+        return get_material(text).name
+    try:
+        return read_material_file(Path(text))
+    except HnfError as error:
+        return error
+
+
 def _to_hashable(choice: str | MaterialFile) -> str | bytes:
     return choice if isinstance(choice, str) else choice.to_bytes()
 
@@ -534,7 +581,7 @@ def gather_jobs(session: Session) -> GatheredJobs:
     request, scene = session.request, session.scene
     gathered = gather_curve_jobs(session, list_strokes(scene))
     for placement in request.strokes:
-        name = _make_unique_name(f"{placement.primitive.name} on {placement.target}", gathered)
+        name = _make_unique_name(f"{shorten_name(placement.primitive.name)} on {placement.target}", gathered)
         _add_job(
             gathered, name,
             lambda placement=placement, name=name: session.make_placement_job(
@@ -569,6 +616,7 @@ def gather_curve_jobs(session: Session, curves: Iterable[Any]) -> GatheredJobs:
 
 def add_scene_notes(session: Session, gathered: GatheredJobs) -> None:
     """Add notes on objects that no stroke touches, and warnings about surfaces of implausible size."""
+    gathered.notes += session.get_unused_errors(gathered.failed)
     gathered.skipped += list(_iter_skipped(session, {job.object_name for job in gathered.jobs}))
     for name in dict.fromkeys(job.object_name for job in gathered.jobs):
         obj = find_object(session.scene, name)

@@ -19,8 +19,8 @@ from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.field.weights import parse_field, serialise_field
 from hnf_core.files import NPZ_ERRORS, read_npz
-from hnf_core.material.contact_model import Mechanics
-from hnf_core.material.probe import PROBES
+from hnf_core.material.contact_model import MECHANICS_NAMES, Mechanics
+from hnf_core.material.probe import is_probe
 
 from ..bridge.scene.stored_data import delete_property, get_property, set_property
 
@@ -33,7 +33,6 @@ BAKE_PROPERTY = "hnf_bake"
 """ID property of the stroke's curve object."""
 SCHEMA = 1
 """Version of the format in which bakes are stored."""
-_MECHANICS = ("stiffness_n_m", "damping_ratio", "friction")
 
 Float = NDArray[np.float64]
 
@@ -63,6 +62,13 @@ class StrokeBake:
         Confidence and warnings of the synthesis.
     notes : tuple of str
         Remarks of the bake for the user.
+    doubts : tuple of str
+        Those of them on reliefs that have the height of the library material.
+    alternative : StrokeBake or None
+        The same with the other heights, if another force may decide otherwise: of the two the one with the relief's
+        own heights counts unless it is too loud (`LOUDEST_M_S2`).
+    is_softened : bool
+        True if this one is that for a force under which the relief's own heights are too loud.
     """
 
     stroke: StrokeInput
@@ -76,6 +82,9 @@ class StrokeBake:
     confidence: float
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    alternative: StrokeBake | None = None
+    is_softened: bool = False
 
     def with_force(self, force: Float, probe: str | None = None) -> StrokeBake:
         """Return the bake with another force (n,) [N] at the same action samples.
@@ -93,7 +102,8 @@ class StrokeBake:
             )
         index = np.where(force > 0.0, self.patch_index, np.int32(-1))
         pressed = replace(action, force=force, contact=index >= 0, probe=probe or action.probe)
-        return replace(self, stroke=replace(self.stroke, action=pressed), patch_index=index)
+        other = None if self.alternative is None else self.alternative.with_force(force, probe)
+        return replace(self, stroke=replace(self.stroke, action=pressed), patch_index=index, alternative=other)
 
     def to_bytes(self) -> bytes:
         """Serialise the bake: exact, compressed, without pickle; equal bakes give equal bytes."""
@@ -101,8 +111,9 @@ class StrokeBake:
         texts = {
             "key": self.key, "path_key": self.path_key, "facts": dict(self.facts), "warnings": list(self.warnings),
             "notes": list(self.notes), "seed": self.seed, "confidence": self.confidence, "probe": action.probe,
+            "doubts": list(self.doubts), "is_softened": self.is_softened,
         }  # fmt: skip
-        mechanics = [[getattr(properties, name) for name in _MECHANICS] for properties in self.stroke.mechanics]
+        mechanics = [[getattr(properties, name) for name in MECHANICS_NAMES] for properties in self.stroke.mechanics]
         arrays = {
             "schema": np.array(SCHEMA),
             "texts": np.frombuffer(json.dumps(texts, sort_keys=True).encode(), np.uint8),
@@ -113,7 +124,7 @@ class StrokeBake:
             "position": _split_byte_planes(action.position),
             "contact": action.contact,
             "tokens": self.stroke.tokens,
-            "mechanics": np.array(mechanics, dtype=np.float64).reshape(-1, len(_MECHANICS)),
+            "mechanics": np.array(mechanics, dtype=np.float64).reshape(-1, len(MECHANICS_NAMES)),
             "token_index": self.stroke.token_index,
             "patch_index": self.patch_index,
             "on_surface": self.on_surface,
@@ -123,6 +134,8 @@ class StrokeBake:
             scale = (profile.step_m, profile.origin_m, profile.resolved_wavelength_m)
             arrays |= {"profile_scale": np.array(scale), "profile": _split_byte_planes(profile.height)}
         arrays |= _pack_fields(self.stroke)
+        if self.alternative is not None:
+            arrays["alternative"] = np.frombuffer(self.alternative.to_bytes(), np.uint8)
         packed = io.BytesIO()
         np.savez_compressed(packed, **arrays)
         return packed.getvalue()
@@ -144,9 +157,10 @@ class StrokeBake:
 
 def make_stroke_bake(baked: BakedStroke, synthesised: SynthesisedStroke, *, key: str, path_key: str) -> StrokeBake:
     """Make the bake of a synthesized stroke; `key` and `path_key` are those of its job."""
-    from .synthesise import compute_known_shares, get_signal_facts
+    from .material_choice import TOO_LOUD_DOUBT
+    from .synthesise import compute_known_shares, get_signal_facts, make_stroke_input
 
-    return StrokeBake(
+    bake = StrokeBake(
         stroke=synthesised.stroke,
         patch_index=baked.patch_index,
         on_surface=baked.contacts.on_surface,
@@ -158,7 +172,17 @@ def make_stroke_bake(baked: BakedStroke, synthesised: SynthesisedStroke, *, key:
         confidence=synthesised.confidence,
         warnings=synthesised.warnings,
         notes=baked.notes,
+        doubts=baked.doubt_notes,
     )
+    other = baked.alternative
+    if other is None:
+        return bake
+    is_softened = any(material.doubt == TOO_LOUD_DOUBT for material in baked.materials.values())
+    alternative = replace(
+        bake, stroke=make_stroke_input(other), shares=compute_known_shares(other), facts=get_signal_facts(other),
+        notes=other.notes, doubts=other.doubt_notes, is_softened=not is_softened,
+    )  # fmt: skip
+    return replace(bake, alternative=alternative, is_softened=is_softened)
 
 
 def store_bake(obj: Any, bake: StrokeBake) -> None:
@@ -215,7 +239,7 @@ def _join_byte_planes(planes: NDArray[np.uint8]) -> Float:
 
 def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
     texts = json.loads(arrays["texts"].tobytes())
-    if texts["probe"] not in PROBES:
+    if not is_probe(texts["probe"]):
         raise ValueError(f"unknown probe '{texts['probe']}'")
     action = Action(
         rate=float(arrays["rate"]),
@@ -254,6 +278,10 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
         confidence=float(texts["confidence"]),
         warnings=tuple(str(text) for text in texts["warnings"]),
         notes=tuple(str(text) for text in texts["notes"]),
+        # Bakes of version 0.1 have none of these.
+        doubts=tuple(str(text) for text in texts.get("doubts", ())),
+        is_softened=bool(texts.get("is_softened", False)),
+        alternative=StrokeBake.from_bytes(arrays["alternative"].tobytes()) if "alternative" in arrays else None,
     )
 
 

@@ -11,7 +11,7 @@ import contextlib
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +25,19 @@ from hnf_core.field.field import Field
 from hnf_core.field.height_profile import build_stroke_profile
 from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.synthesis import synthesise_by_field
-from hnf_core.material.fuse import BAND_COUNT, FusedToken, format_routes, fuse
+from hnf_core.material.fuse import (
+    BAND_COUNT,
+    LOUD_ESTIMATE_M_S2,
+    LOUDEST_M_S2,
+    FusedToken,
+    estimate_loudness,
+    format_routes,
+)
+from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.progress import Cancelled, Progress, ProgressCallback, ignore_progress, nest_progress
 from hnf_core.scene.camera import Patch
 from hnf_core.signal import Signal
+from hnf_core.tactile.tactile_map import Route
 from hnf_core.threads import single_blas_thread
 
 from ..bridge.render.unlit_image import UnlitImage
@@ -42,18 +51,35 @@ from .bake_patches import (
     explain_skipped,
     get_encoder_name,
     get_map_source,
-    get_token,
+    get_shader_token,
     is_too_coarse,
 )
-from .material_choice import MaterialRequest, SlotMaterial, decide_material, find_chosen_material, format_guess_note
+from .material_choice import (
+    TOO_LOUD_DOUBT,
+    MaterialRequest,
+    SlotMaterial,
+    find_chosen_material,
+    format_doubt_note,
+    format_guess_note,
+    format_likely,
+    format_own_relief_note,
+    fuse_record,
+    settle_slot,
+)
 from .patch_cache import PatchRecord
 from .report import Counts, Failed, Report
 from .session import Session, StrokeJob
 
 USUAL_HEIGHT_RANGE_M = (0.5e-6, 2e-3)
 """Usual peak-to-peak heights of a relief [m]; others are probably a mistake, or a bump made for its look."""
+_BUMP_REMEDY = "the Distance, Strength or Scale of its bump"
+_MESH_REMEDY = "the object's own ridges and modifiers, the Distance, Strength or Scale of a bump"
 FACT_NAMES = ("object", "material", "library_material", "routes", "height_source")
 """Names of the facts that `get_signal_facts` returns, in the order in which files list them."""
+DOUBTED_FACT = "height_doubted"
+"""Name of the fact with the Blender materials, one a line, whose relief has the height of the library material."""
+LIKELY_FACT = "likely"
+"""Name of the fact with what the main material could be, where one alone is not felt."""
 MECHANICAL_PROPERTY_COUNT = 3
 """Number of mechanical properties: stiffness, damping, friction."""
 
@@ -76,6 +102,11 @@ class BakedStroke:
         Material by slot.
     skip_reasons : tuple of str
         Reasons why no relief was predicted from unlit images.
+    authored_heights_m : Mapping[int, float]
+        Largest height of each slot's relief from top to bottom, as its shader gives it [m].
+    alternative : BakedStroke or None
+        The same with the other heights, those of the library if these are the relief's own, and the reverse, if another
+        force may decide otherwise.
     """
 
     stroke: SceneStroke
@@ -87,6 +118,8 @@ class BakedStroke:
     fused: tuple[FusedToken, ...]
     materials: Mapping[int, SlotMaterial]
     skip_reasons: tuple[str, ...] = ()
+    authored_heights_m: Mapping[int, float] = field(default_factory=dict)
+    alternative: BakedStroke | None = None
 
     @property
     def main_patch(self) -> int:
@@ -97,6 +130,12 @@ class BakedStroke:
     def main_material(self) -> SlotMaterial:
         """Library material of the patch that most action samples touch."""
         return self.materials[self.patches[self.main_patch].slot]
+
+    @property
+    def main_routes(self) -> tuple[Route, ...]:
+        """Route of each wavelength band of that patch; learned for a material that has a field of its own."""
+        routes = tuple(self.fused[self.main_patch].routes)
+        return routes if self.main_material.field is None else (Route.LEARNED,) * len(routes)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -117,6 +156,17 @@ class BakedStroke:
             )
         return tuple(dict.fromkeys(notes))
 
+    @property
+    def doubt_notes(self) -> tuple[str, ...]:
+        """One note per material whose relief has the height of the library material."""
+        return tuple(
+            format_doubt_note(
+                self.materials[slot], self.stroke.object_name, self.authored_heights_m.get(slot, height), height
+            )
+            for slot, height in _find_tallest(self.patches, self.records).items()
+            if self.materials[slot].doubt
+        )
+
     def _guess_notes(self) -> list[str]:
         notes = (format_guess_note(material, self.stroke.object_name) for material in self.materials.values())
         return [note for note in notes if note]
@@ -132,15 +182,25 @@ class BakedStroke:
     def _relief_notes(self) -> list[str]:
         """Return one note per material whose relief is unusually high or low, about its tallest patch."""
         tallest: dict[str, float] = {}
-        for patch, record in zip(self.patches, self.records, strict=True):
-            shader = self.materials[patch.slot].shader
-            tallest[shader] = max(tallest.get(shader, 0.0), record.height_peak_to_peak_m)
+        for slot, height in _find_tallest(self.patches, self.records).items():
+            shader = self.materials[slot].shader
+            if not self.materials[slot].doubt:
+                tallest[shader] = max(tallest.get(shader, 0.0), height)
+        modelled = {
+            self.materials[patch.slot].shader
+            for patch, record in zip(self.patches, self.records, strict=True)
+            if any(record.mesh_bands)
+        }
+        made_by = {shader: _BUMP_REMEDY if shader not in modelled else _MESH_REMEDY for shader in tallest}
         return [
-            f"material '{shader}': its relief is {height * 1e3:.3g} mm from top to bottom; "
-            f"{USUAL_HEIGHT_RANGE_M[0] * 1e3:g}–{USUAL_HEIGHT_RANGE_M[1] * 1e3:g} mm is usual. Check the Distance, "
-            "Strength or Scale of its bump, and the scene's unit scale."
-            for shader, height in tallest.items()
-            if height > 0.0 and not USUAL_HEIGHT_RANGE_M[0] <= height <= USUAL_HEIGHT_RANGE_M[1]
+            *self.doubt_notes,
+            *(
+                f"material '{shader}': its relief is {height * 1e3:.3g} mm from top to bottom; "
+                f"{USUAL_HEIGHT_RANGE_M[0] * 1e3:g}–{USUAL_HEIGHT_RANGE_M[1] * 1e3:g} mm is usual. Check "
+                f"{made_by[shader]}, and the scene's unit scale."
+                for shader, height in tallest.items()
+                if height > 0.0 and not USUAL_HEIGHT_RANGE_M[0] <= height <= USUAL_HEIGHT_RANGE_M[1]
+            ),
         ]
 
 
@@ -173,11 +233,12 @@ class SynthesisedStroke:
 def bake_stroke(
     stroke: SceneStroke,
     touched: TouchedObject,
-    choices: Mapping[int | None, str],
+    choices: Mapping[int | None, str | MaterialFile],
     folder: Path,
     counts: Counts,
     predictor: ReliefPredictor,
     progress: ProgressCallback = ignore_progress,
+    doubt: str = "",
 ) -> BakedStroke:
     """Bake one stroke: find its contacts, render its patches, and choose materials and tokens.
 
@@ -187,8 +248,8 @@ def bake_stroke(
         Stroke.
     touched : TouchedObject
         Touched object.
-    choices : Mapping[int or None, str]
-        Slot (None for any) → library material of the command line.
+    choices : Mapping[int or None, str or MaterialFile]
+        Slot (None for any) → library material or content of a file, of the command line.
     folder : Path
         Folder of cached patches.
     counts : Counts
@@ -197,6 +258,8 @@ def bake_stroke(
         Networks that predict relief.
     progress : ProgressCallback, optional
         Called after each patch.
+    doubt : str, optional
+        Reason to doubt the height of every relief.
 
     Returns
     -------
@@ -211,21 +274,25 @@ def bake_stroke(
     """
     where = f"stroke '{stroke.name}'"
     contacts = find_contacts(stroke.samples, stroke.get_surface(touched.surface.mesh), where=where)
-    counts.rays += len(stroke.samples.time)
+    counts.add("rays", len(stroke.samples.time))
     require_contact(contacts, where=where, surface=stroke.object_name)
     patches, patch_index = plan_patches(contacts)
     slots = dict.fromkeys(patch.slot for patch in patches)
     request = MaterialRequest(choices, stroke.material, where)
     chosen_slots = {slot for slot in slots if find_chosen_material(touched, slot, request) is not None}
     records = bake_patches(touched, patches, folder, counts, predictor, chosen_slots, progress)
-    materials = {}
+    authored_heights_m = _find_tallest(patches, records)
+    materials, settled = {}, list(records)
     for slot in slots:
-        slot_records = [record for patch, record in zip(patches, records, strict=True) if patch.slot == slot]
-        materials[slot] = decide_material(touched, slot, request, slot_records)
-    fused = tuple(
-        fuse(get_token(record), materials[patch.slot].library.token, materials[patch.slot].confidence, record.route)
-        for patch, record in zip(patches, records, strict=True)
-    )
+        indices = [index for index, patch in enumerate(patches) if patch.slot == slot]
+        slot_records = [records[index] for index in indices]
+        materials[slot], slot_records[:] = settle_slot(
+            touched, slot, request, slot_records, predictor.measured_encoder, doubt
+        )
+        for index, record in zip(indices, slot_records, strict=True):
+            settled[index] = record
+    records = tuple(settled)
+    fused = tuple(fuse_record(record, materials[patch.slot]) for patch, record in zip(patches, records, strict=True))
     skip_reasons = {
         f"material '{materials[slot].shader}': {predictor.missing_reason or explain_skipped(unlit)}."
         for slot in materials.keys() - chosen_slots
@@ -236,8 +303,31 @@ def bake_stroke(
         )
     }
     return BakedStroke(
-        stroke, touched, contacts, patches, patch_index, records, fused, materials, tuple(sorted(skip_reasons))
+        stroke, touched, contacts, patches, patch_index, records, fused, materials, tuple(sorted(skip_reasons)),
+        authored_heights_m,
+    )  # fmt: skip
+
+
+def _find_tallest(patches: Sequence[Patch], records: Sequence[PatchRecord]) -> dict[int, float]:
+    """Return slot → largest height from top to bottom of its patches [m]."""
+    tallest: dict[int, float] = {}
+    for patch, record in zip(patches, records, strict=True):
+        tallest[patch.slot] = max(tallest.get(patch.slot, 0.0), record.height_peak_to_peak_m)
+    return tallest
+
+
+def may_be_loud(baked: BakedStroke) -> bool:
+    """Return True if a measured relief may shake the pen too much under some force; few surfaces are so high."""
+    speed = float(np.linalg.norm(baked.contacts.velocity, axis=-1).max(initial=0.0))
+    return any(
+        record.height is not None and estimate_loudness(fused.values, speed) > LOUD_ESTIMATE_M_S2
+        for record, fused in zip(baked.records, baked.fused, strict=True)
     )
+
+
+def is_loud(baked: BakedStroke, field: Field, seed: int) -> bool:
+    """Return True if a stroke shakes the pen more than any surface can (`LOUDEST_M_S2`)."""
+    return synthesise_by_field(field, make_stroke_input(baked), seed=seed).signal.rms > LOUDEST_M_S2
 
 
 def _select_skipped_images(unlit_images: Iterable[UnlitImage]) -> list[UnlitImage]:
@@ -260,7 +350,7 @@ def drop_maps(baked: BakedStroke) -> BakedStroke:
         replace(record, height=None, mask=none, unlit=None, predicted=None, encoder=get_encoder_name(record))
         for record in baked.records
     )
-    return replace(baked, records=records)
+    return replace(baked, records=records, alternative=None)
 
 
 def synthesise_stroke(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> SynthesisedStroke:
@@ -269,7 +359,7 @@ def synthesise_stroke(baked: BakedStroke, field: Field, seed: int, counts: Count
     `field` is used unless a learned material has a field of its own; `seed` is that of the noise.
     """
     stroke_input = make_stroke_input(baked)
-    counts.network_calls += 1
+    counts.add("network_calls")
     result = synthesise_by_field(field, stroke_input, seed=seed)
     known_fraction = compute_mean_share(compute_known_shares(baked), baked.patch_index)
     return SynthesisedStroke(stroke_input, result.signal, known_fraction * result.confidence, result.warnings)
@@ -325,12 +415,15 @@ def compute_mean_share(shares: NDArray[np.float64], patch_index: NDArray[np.int3
 def get_signal_facts(baked: BakedStroke) -> dict[str, str]:
     """Return the provenance of a signal, apart from the stroke's name and the confidence."""
     patch = baked.main_patch
+    doubted = "\n".join(dict.fromkeys(entry.shader for entry in baked.materials.values() if entry.doubt))
     return {
         "object": baked.stroke.object_name,
         "material": baked.main_material.shader,
         "library_material": ", ".join(dict.fromkeys(entry.library.name for entry in baked.materials.values())),
-        "routes": format_routes(baked.fused[patch].routes),
+        "routes": format_routes(baked.main_routes, baked.records[patch].mesh_bands),
         "height_source": get_map_source(baked.records[patch]),
+        **({DOUBTED_FACT: doubted} if doubted else {}),
+        **({LIKELY_FACT: likely} if (likely := format_likely(baked.main_material)) else {}),
     }
 
 
@@ -363,6 +456,8 @@ def bake_strokes(
     report: Report,
     on_stroke: OnStroke,
     progress: ProgressCallback = ignore_progress,
+    *,
+    with_alternatives: bool = False,
 ) -> tuple[BakedStroke, ...]:
     """Bake every job (stroke to compute) and pass it to `on_stroke`.
 
@@ -383,6 +478,8 @@ def bake_strokes(
         Processes a baked stroke.
     progress : ProgressCallback, optional
         Called before each stroke, patch and stage.
+    with_alternatives : bool, optional
+        Also bake the other heights where the force decides between them, so that another force needs no bake.
 
     Returns
     -------
@@ -400,7 +497,7 @@ def bake_strokes(
 
         try:
             with record_time(report, "bake_s"), single_blas_thread():  # leaves all cores to Cycles and ray casts
-                baked = _bake_job(session, job, cache, report, closeup_progress)
+                baked = _bake_job(session, job, cache, report, closeup_progress, with_alternatives)
             baked_strokes.append(drop_maps(baked))
             on_stroke(job, baked, start_stage)
         except HnfError as error:
@@ -425,7 +522,9 @@ def record_time(report: Report, name: str) -> Iterator[None]:
         report.timings[name] = round(report.timings.get(name, 0.0) + time.monotonic() - start, 3)
 
 
-def _bake_job(session: Session, job: StrokeJob, cache: Path, report: Report, progress: ProgressCallback) -> BakedStroke:
+def _bake_job(
+    session: Session, job: StrokeJob, cache: Path, report: Report, progress: ProgressCallback, with_alternatives: bool
+) -> BakedStroke:
     """Bake a job's stroke, which is read from the scene, or placed first if it is a primitive."""
     stroke = job.stroke
     if stroke is None:
@@ -435,6 +534,30 @@ def _bake_job(session: Session, job: StrokeJob, cache: Path, report: Report, pro
     touched = session.get_touched_object(find_object(session.scene, stroke.object_name))
     choices = session.get_choices(stroke.object_name)
     baked = bake_stroke(stroke, touched, choices, cache, report.counts, session.predictor, progress)
-    for note in baked.notes:
+    if not all(touched.heights_as_authored) and may_be_loud(baked):
+        loud = is_loud(baked, session.field, job.seed)
+        if loud or with_alternatives:
+            other = bake_stroke(
+                stroke, touched, choices, cache, report.counts, session.predictor, progress, doubt=TOO_LOUD_DOUBT
+            )
+            baked, other = (other, baked) if loud else (baked, other)
+            baked = replace(baked, alternative=other if with_alternatives else None)
+    for note in (*_describe_own_reliefs(baked, choices), *baked.notes):
         report.add_warning(note)
     return baked
+
+
+def _describe_own_reliefs(baked: BakedStroke, choices: Mapping[int | None, str | MaterialFile]) -> list[str]:
+    """Return a note on each slot where a material was given on the command line and the shader's relief is felt."""
+    felt = {
+        patch.slot
+        for patch, record, fused in zip(baked.patches, baked.records, baked.fused, strict=True)
+        if get_shader_token(record) is not None and Route.MEASURED in fused.routes
+    }
+    notes = []
+    for slot, material in baked.materials.items():
+        choice = choices.get(slot) or choices.get(None)
+        if slot in felt and choice and not (isinstance(choice, MaterialFile) and choice.field):
+            library = choice.name if isinstance(choice, MaterialFile) else choice
+            notes.append(format_own_relief_note(material.shader, baked.stroke.object_name, library))
+    return notes

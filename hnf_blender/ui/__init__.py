@@ -15,7 +15,6 @@ MODULES = (
     "materials_panel",
     "strokes_panel",
     "preview_panel",
-    "export_panel",
     "actuator_panel",
     "diagnose_panel",
 )

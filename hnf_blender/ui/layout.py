@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import bpy
+
 from ..state.labels import CHARACTER_PX, MARGIN_PX, shorten_text, wrap_text
+from ..translations import tr
 
 NARROW_CHARACTERS = 26
 """Characters per line below which buttons are stacked."""
@@ -34,6 +38,15 @@ def draw_paragraph(layout: Any, context: Any, text: str, icon: str = "NONE", ind
     column.scale_y = 0.8
     for index, line in enumerate(wrap_text(text, count_line_characters(context) - indent)):
         column.label(text=line, icon=icon if index == 0 or icon == "NONE" else "BLANK1", translate=False)
+
+
+def draw_height_choices(layout: Any, context: Any, names: Sequence[str]) -> None:
+    """Draw, for each material of a name whose relief's height is not believed, the option to insist on it."""
+    for name in names:
+        material = bpy.data.materials.get(name)
+        if material is not None:
+            text = f"{tr('Height as Authored')}: {shorten_name(context, name, reserved=22)}"
+            layout.prop(material.hnf_touch, "height_as_authored", text=text, translate=False)
 
 
 def make_button_row(layout: Any, context: Any) -> Any:

@@ -19,9 +19,9 @@ from ..state.labels import (
     format_stiffness,
 )
 from ..state.session_state import STATE, get_shown_name
-from ..touch.stroke_status import StrokeStatus
+from ..touch.report import StrokeStatus
 from ..translations import tr
-from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name
+from .layout import TouchPanel, draw_height_choices, draw_hint, draw_paragraph, make_button_row, shorten_name
 from .preview_panel import compute_image_size
 
 if TYPE_CHECKING:
@@ -49,6 +49,19 @@ def describe_material(material: Any) -> tuple[str, str]:
 def iterate_statuses() -> Iterator[StrokeStatus]:
     """Iterate over the statuses of the strokes of all scenes, since a material may be used in any."""
     return (status for statuses in STATE.statuses.values() for status in statuses.values())
+
+
+def is_height_doubted(material: Any) -> bool:
+    """Return True if the height of a material's relief is not believed, or the user insists on it.
+
+    A bake or a query found it too high, or its shader states more than is believed.
+    """
+    view = STATE.query_view
+    return (
+        bool(material.hnf_touch.height_as_authored)
+        or (view is not None and view.is_height_doubted and view.material == material.name)
+        or any(material.name in status.doubted_shaders for status in iterate_statuses())
+    )
 
 
 def list_bakes(scene: Any, obj: Any) -> list[tuple[str, StrokeStatus]]:
@@ -114,6 +127,8 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
     row.label(text=text_label, icon=icon, translate=False)
     if icon == "LOCKED":
         row.operator("hnf.material_auto", text="Automatic", icon="LOOP_BACK").material = material.name_full
+    if is_height_doubted(material):
+        box.prop(material.hnf_touch, "height_as_authored")
     column = box.column(align=True)
     ranked = STATE.suggestions.get(material.name_full, ())[:MAX_SUGGESTIONS]
     for suggestion in ranked:
@@ -138,7 +153,8 @@ def group_equal_bakes(bakes: list[tuple[str, StrokeStatus]]) -> list[tuple[list[
     """
     groups: dict[tuple[str, ...], tuple[list[str], StrokeStatus]] = {}
     for name, status in bakes:  # Confidences are compared as shown, since they differ slightly.
-        shown_facts = status.shader, status.library_material, format_confidence(status.confidence), status.routes
+        confidence = format_confidence(status.confidence)
+        shown_facts = status.shader, status.library_material, confidence, status.likely, status.routes
         groups.setdefault(shown_facts, ([], status))[0].append(name)
     return list(groups.values())
 
@@ -162,6 +178,7 @@ class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
             description = f"{format_display_name(status.library_material)}, {format_confidence(status.confidence)}"
             shader = f"{shorten_name(context, status.shader, reserved=6)}: " if status.shader else ""
             draw_paragraph(column, context, shader + description, icon="BLANK1")
+            draw_likely(column, context, status.likely)
             for line in format_routes(status.routes):
                 draw_paragraph(column, context, line, icon="BLANK1")
         if len(bakes) > MAX_BAKES:
@@ -197,6 +214,7 @@ def draw_query_result(layout: Any, context: Any, view: QueryView) -> None:
         f"{format_display_name(view.library_material)}, {format_confidence(view.confidence)}",
         icon="MATERIAL",
     )
+    draw_likely(column, context, view.likely)
     draw_paragraph(column, context, tr("Why: {reason}").format(reason=format_reason(view.reason)), icon="BLANK1")
     roughness = tr("Roughness: {height} RMS").format(height=format_height(view.roughness_m))
     draw_paragraph(column, context, roughness, icon="RNDCURVE")
@@ -211,6 +229,13 @@ def draw_query_result(layout: Any, context: Any, view: QueryView) -> None:
     draw_nearest(layout, context, view)
     for note in view.notes:
         draw_paragraph(layout, context, note, icon="ERROR")
+    draw_height_choices(layout, context, [view.material] if view.is_height_doubted else [])
+
+
+def draw_likely(layout: Any, context: Any, likely: str) -> None:
+    """Draw what a surface could be; nothing if it is felt as one material."""
+    if likely:
+        draw_paragraph(layout, context, tr("Could be: {materials}").format(materials=likely), icon="BLANK1")
 
 
 def draw_nearest(layout: Any, context: Any, view: QueryView) -> None:

@@ -22,7 +22,15 @@ from ..registration import add_handlers, remove_handlers
 from ..state.labels import describe_status, shorten_text
 from ..state.session_state import STATE
 from ..translations import tr
-from .layout import TouchPanel, compute_line_width, count_line_characters, draw_hint, draw_paragraph, make_button_row
+from .layout import (
+    TouchPanel,
+    compute_line_width,
+    count_line_characters,
+    draw_height_choices,
+    draw_hint,
+    draw_paragraph,
+    make_button_row,
+)
 from .scene_panel import shows_first_step_tools
 
 MIN_ROWS, MAX_ROWS = 2, 8
@@ -94,6 +102,7 @@ class HNF_PT_stroke(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
         if status is not None and (preview is None or not preview.lines):  # Otherwise the preview shows the warnings.
             for warning in status.warnings:
                 draw_paragraph(layout, context, warning, icon="ERROR")
+            draw_height_choices(layout, context, status.doubted_shaders)
         layout.use_property_split = True
         column = layout.column()
         column.use_property_decorate = False
@@ -203,6 +212,7 @@ class HNF_MT_stroke_add(bpy.types.Menu):  # type: ignore[misc]  # bpy has no typ
             icon = PRIMITIVE_ICONS[primitive.kind]
             layout.operator("hnf.stroke_add", text=format_primitive(name), icon=icon, translate=False).primitive = name
         layout.separator()
+        layout.operator("hnf.stroke_add", text="In Words…", icon="OUTLINER_OB_FONT").dialog = True
         layout.operator("hnf.stroke_from_curve", text="From the Selected Curve", icon="OUTLINER_OB_CURVE")
 
 

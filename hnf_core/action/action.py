@@ -1,4 +1,4 @@
-"""The action u(t) = [direction, speed, normal force] at the action rate (200 Hz), and its reading from a CSV table.
+"""The action u(t) = [direction, speed, normal force] at the action rate (200 Hz), and its CSV tables.
 
 Tables may have any rising time grid. A table finer than the action rate is low-passed first, so that a vibration
 between its rows does not alias to a tone.
@@ -10,6 +10,7 @@ import csv
 from array import array
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,78 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..errors import FileError, StrokeError
+from ..files import write_text
 
 ACTION_RATE_HZ = 200.0
 """Rate at which the field is evaluated and then interpolated [Hz]; an artist's stroke has nothing above about 20 Hz."""
 
 Float = NDArray[np.float64]
+
+SHORTEST_STEP_S = 1e-9
+"""Step of a force curve below which slopes are not distinguished [s]."""
+
+
+@dataclass(frozen=True)
+class ForceCurve:
+    """Pressing force on a time grid of its own: monotone and smooth between its points, constant beyond them.
+
+    Cubic Hermite pieces whose slopes are those of F. N. Fritsch & J. Butland (1984, SIAM J. Sci. Stat. Comput. 5): it
+    passes through all points without overshoot, and without the kinks of straight lines, which a hard contact would
+    answer.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (m,)
+        Rising times [s].
+    force_n : ndarray, shape (m,)
+        Force ≥ 0, 0 out of contact [N].
+    """
+
+    time_s: Float
+    force_n: Float
+
+    def evaluate(self, time_s: Float) -> Float:
+        """Return the force at times (k,) [N]."""
+        if len(self.time_s) < 2:
+            return np.full(np.shape(time_s), self.force_n[0])
+        left = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.time_s) - 2)
+        step, low, high = self.time_s[left + 1] - self.time_s[left], self.force_n[left], self.force_n[left + 1]
+        t = np.clip(time_s - self.time_s[left], 0.0, step) / step
+        rest = 1.0 - t
+        force = low * (1.0 + 2.0 * t) * rest**2 + high * (3.0 - 2.0 * t) * t**2
+        force += step * t * rest * (self._slopes[left] * rest - self._slopes[left + 1] * t)
+        return np.asarray(np.clip(force, np.minimum(low, high), np.maximum(low, high)))
+
+    @cached_property
+    def _slopes(self) -> Float:
+        """Slope at each point [N/s]: 0 at both ends and where the force turns, else a harmonic mean of both chords."""
+        step = np.maximum(np.diff(self.time_s), SHORTEST_STEP_S)
+        chord, slopes = np.diff(self.force_n) / step, np.zeros(len(self.time_s))
+        inner = np.flatnonzero(np.sign(chord[:-1]) * np.sign(chord[1:]) > 0.0)
+        before, after = step[inner], step[inner + 1]
+        near, far = 2.0 * after + before, after + 2.0 * before
+        with np.errstate(over="ignore"):  # A chord of nearly 0 makes the slope 0.
+            slopes[inner + 1] = (near + far) / (near / chord[inner] + far / chord[inner + 1])
+        return slopes
+
+    def find_extremes(self, edges_s: Float) -> tuple[Float, Float]:
+        """Return the lowest and highest force (k − 1,) between each two of k ≥ 2 rising times [N]."""
+        inside = slice(*np.searchsorted(self.time_s, (edges_s[0], edges_s[-1])))
+        order_time = np.concatenate([edges_s, self.time_s[inside]])
+        force = np.concatenate([self.evaluate(edges_s), self.force_n[inside]])[np.argsort(order_time, kind="stable")]
+        starts, ends = np.searchsorted(np.sort(order_time), edges_s)[:-1], self.evaluate(edges_s[1:])
+        count = int(np.searchsorted(np.sort(order_time), edges_s[-1]))
+        return (
+            np.minimum(np.minimum.reduceat(force[:count], starts), ends),
+            np.maximum(np.maximum.reduceat(force[:count], starts), ends),
+        )
+
+    def touches_near(self, grid_s: Float) -> NDArray[np.bool_]:
+        """Return (k,) whether the force is above 0 anywhere within half a step of each time of an even grid."""
+        if len(grid_s) < 2:
+            return self.evaluate(grid_s) > 0.0
+        half = 0.5 * (grid_s[1] - grid_s[0])
+        return np.asarray(self.find_extremes(np.append(grid_s - half, grid_s[-1] + half))[1] > 0.0)
 
 
 @dataclass(frozen=True)
@@ -43,7 +111,9 @@ class Action:
     contact : ndarray of bool, shape (n,)
         False where the force is 0 or the path is off the surface.
     probe : str
-        Name in `material.probe.PROBES`.
+        Name or file of the probe, see `material.probe.get_probe`.
+    force_curve : ForceCurve or None
+        The force as it was given, if that is on a finer grid: a tap of 3 ms lies between two samples of `force`.
     """
 
     rate: float
@@ -53,6 +123,7 @@ class Action:
     position: Float
     contact: NDArray[np.bool_]
     probe: str = "pen"
+    force_curve: ForceCurve | None = None
 
     @property
     def time(self) -> Float:
@@ -65,6 +136,8 @@ class Action:
         return (len(self.speed) - 1) / self.rate
 
 
+FINE_STEP = 0.999
+"""Step of a table below which it is finer than the action's grid [grid steps]."""
 CELLS_PER_SAMPLE = 16
 """Number of averages per grid sample that the Gaussian is summed over. An average includes all rows in its cell, so
 that time and memory do not depend on the finest step of a table."""
@@ -161,6 +234,8 @@ def _compute_cell_means(values: Float, time: Float, edges: Float) -> Float:
 
 CSV_COLUMNS = ("time_s", "direction_rad", "speed_m_s", "force_n")
 """Columns of a table."""
+POSITION_COLUMN = "position_m"
+"""Column that a table may have besides: the signed arc length, which falls where the hand goes back."""
 MAX_ACTION_S = 86_400.0
 """Longest accepted action [s]; a longer one has another unit, as ten seconds in microseconds would be four months."""
 MAX_TURNS, MAX_STEP_S = 2.0, 1.5
@@ -176,7 +251,8 @@ def read_action_csv(
     Parameters
     ----------
     path : Path
-        Table with the columns time_s, direction_rad, speed_m_s and force_n, in any order, on any rising time grid.
+        Table with the columns time_s, direction_rad, speed_m_s and force_n, in any order, on any rising time grid; and
+        position_m if it is not the integral of speed.
     probe : str
         Contacting tip.
     rate : float
@@ -204,7 +280,8 @@ def read_action_csv(
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileError(f"not a CSV table ({error}).", where=str(path), remedy=_CSV_REMEDY) from error
     columns = [table[:, header.index(name)] for name in CSV_COLUMNS]
-    action = action_from_table(*columns, probe=probe, rate=rate, where=str(path), lines=lines)
+    position = table[:, header.index(POSITION_COLUMN)] if POSITION_COLUMN in header else None
+    action = action_from_table(*columns, position=position, probe=probe, rate=rate, where=str(path), lines=lines)
     for message in check_units(*columns[:2]):
         warn(f"{path.name}: {message}")
     return action
@@ -222,19 +299,22 @@ def check_units(time: Float, direction: Float) -> tuple[str, ...]:
 
 
 def action_from_table(
-    time: Float, direction: Float, speed: Float, force: Float, *, probe: str = "pen", rate: float = ACTION_RATE_HZ,
-    where: str = "action", lines: Sequence[int] = (),
+    time: Float, direction: Float, speed: Float, force: Float, *, position: Float | None = None, probe: str = "pen",
+    rate: float = ACTION_RATE_HZ, where: str = "action", lines: Sequence[int] = (),
 ) -> Action:  # fmt: skip
     """Make an action from columns (n,) on any rising time grid.
 
     Direction is interpolated as a vector (179° and −179° are neighbours); where that vanishes, the nearest row counts.
     Position is the integral of speed over the table's own grid. There is contact where the force is positive. A table
-    finer than the action is low-passed first (`resample_band_limited`).
+    finer than the action is low-passed first (`resample_band_limited`), and its own force goes along as the action's
+    `force_curve`; there is contact where it presses within half a step of the grid.
 
     Parameters
     ----------
     time, direction, speed, force : ndarray, shape (n,)
         Columns [s, rad, m/s, N].
+    position : ndarray, shape (n,), or None
+        Signed arc length [m]; None for the integral of speed.
     probe : str
         Contacting tip.
     rate : float
@@ -260,7 +340,7 @@ def action_from_table(
         raise StrokeError(f"its columns have shapes {shapes}.", where=where, remedy="Give four columns of one length.")
     if len(time) < 2:
         raise StrokeError("fewer than two rows.", where=where, remedy=_CSV_REMEDY)
-    columns = np.stack([time, direction, speed, force]).astype(np.float64)
+    columns = np.stack([time, direction, speed, force, force if position is None else position]).astype(np.float64)
     if not np.isfinite(columns).all():
         row = _format_row(int(np.argmin(np.isfinite(columns).all(axis=0))), lines)
         raise StrokeError(f"{row} holds a value that is not finite.", where=where, remedy="Remove or repair it.")
@@ -288,17 +368,28 @@ def action_from_table(
     length = np.linalg.norm(vector, axis=1, keepdims=True)
     nearest = direction[np.searchsorted(time, grid).clip(0, len(time) - 1)]
     nearest_vector = np.stack([np.cos(nearest), np.sin(nearest)], axis=1)
-    contact = np.interp(grid, time, force) > 0.0
+    curve = ForceCurve(time - time[0], columns[3]) if np.diff(time).min() < FINE_STEP / rate else None
+    contact = np.interp(grid, time, force) > 0.0 if curve is None else curve.touches_near(grid - time[0])
     resampled = resample_band_limited(np.stack([speed, force], axis=1), time, count, rate)
     return Action(
         rate=rate,
         direction=np.where(length > 1e-6, vector / np.maximum(length, 1e-6), nearest_vector),
         speed=resampled[:, 0],
         force=np.where(contact, resampled[:, 1], 0.0),
-        position=_integrate_speed(grid, time, speed, distance),
+        position=_integrate_speed(grid, time, speed, distance) if position is None else np.interp(grid, time, position),
         contact=contact,
         probe=probe,
+        force_curve=curve,
     )
+
+
+def write_action_csv(path: Path, action: Action) -> None:
+    """Write an action as a table that `read_action_csv` reads back to the last digits, at its own rate."""
+    angle = np.arctan2(action.direction[:, 1], action.direction[:, 0])
+    force = np.where(action.contact, action.force, 0.0)
+    rows = zip(*(column.tolist() for column in (action.time, angle, action.speed, force, action.position)), strict=True)
+    lines = (",".join(repr(value + 0.0) for value in row) for row in rows)
+    write_text(path, "\n".join([",".join([*CSV_COLUMNS, POSITION_COLUMN]), *lines, ""]))
 
 
 def _format_row(row: int, lines: Sequence[int]) -> str:

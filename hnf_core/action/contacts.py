@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SceneError, StrokeError
-from ..scene.mesh import TriangleMesh
+from ..progress import add_work
+from ..scene.mesh import TriangleMesh, compute_smooth_normals
 from ..scene.raycast import ClosestPoints, find_closest_barycentric
 
 Float = NDArray[np.float64]
@@ -73,6 +74,7 @@ def _find_nearest_in_chunk(
     distance = np.sqrt(np.maximum(squared, 0.0) + slack)
     point_index, column = np.nonzero(distance - radius <= distance.min(axis=1, keepdims=True) + 2.0 * np.sqrt(slack))
     triangle = near[column]
+    add_work("nearest_pairs", len(triangle))
     barycentric = find_closest_barycentric(corners[triangle], points[point_index])
     positions = np.einsum("nc,ncx->nx", barycentric, corners[triangle])
     gap = np.linalg.norm(positions - points[point_index], axis=1)
@@ -326,6 +328,11 @@ def find_contacts(
     On a deforming surface the velocity is dp/dt − ∂x/∂t at a fixed material point x, to first order the material
     displacement x(b, t_b) − x(a, t_b) between two contacts. Where the curve is steeper than 45° to the surface (a
     lift), the speed fades to that along the surface.
+
+    Over relief in the mesh, patches lie on the smooth shape (`compute_smooth_normals`): the normal is the smooth
+    shape's, and the point lies straight below the curve's, at the height of the nearest one. Position and speed stay
+    those along the curve. The relief is felt through the height under it alone, so that a curve which climbs every
+    ridge meets it once, at the time at which the curve is there.
     """
     mesh = surface.mesh if isinstance(surface, DeformingMesh) else surface
     if len(mesh.triangles) == 0:
@@ -347,11 +354,17 @@ def find_contacts(
         tangent = samples.tangent
     corners = mesh.vertices[mesh.triangles[hit.triangle]]
     normal = interpolate_normals(mesh.normals[hit.triangle], corners, hit.barycentric)
+    point = np.einsum("nc,ncx->nx", hit.barycentric, corners)
+    smooth = compute_smooth_normals(mesh, point, normal, hit.triangle)
+    if smooth is not None:
+        normal = smooth
+        if not isinstance(surface, DeformingMesh):
+            point = samples.point + normal * np.einsum("nx,nx->n", point - samples.point, normal)[:, None]
     uv_tangent, uv_known = compute_tangents(corners, None if mesh.uv is None else mesh.uv[hit.triangle], normal)
     velocity = _project_velocity(at_rest, np.linalg.norm(relative, axis=1), normal)
     return Contacts(
         time=samples.time,
-        point=np.einsum("nc,ncx->nx", hit.barycentric, corners),
+        point=point,
         normal=normal,
         uv_tangent=uv_tangent,
         uv_known=uv_known,

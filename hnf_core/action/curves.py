@@ -215,6 +215,10 @@ class ArcCurve:
         segment, u, _ = self._find_parameter(s)
         return segment, u
 
+    def find_stations(self, knots: Sequence[int]) -> list[float]:
+        """Return the arc lengths at knots, counted from 0 at the start."""
+        return [float(station) for station in self.station[np.searchsorted(self.segment, knots)]]
+
     def _find_parameter(self, s: ArrayLike) -> tuple[Int, Float, Int]:
         """Find segment, Bézier parameter u and panel of arc lengths (n,), by Newton's method or else bisection."""
         target = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)

@@ -43,24 +43,32 @@ class Keyframes:
         return value, np.where(outside, 0.0, rate)
 
 
-def make_eased_travel(distance: float, speed: float, ramp_s: float, start_s: float = 0.0) -> Keyframes:
-    """Make keyframes of a motion from 0 to `distance` at constant speed, with S-shaped starts and stops of `ramp_s`.
+def make_eased_travel(
+    distance: float, speed: float, ramp_s: float, start_s: float = 0.0, *, end_speed: float | None = None
+) -> Keyframes:
+    """Make keyframes of a motion from 0 to `distance` at a speed, with S-shaped starts and stops of `ramp_s`.
 
-    Acceleration is continuous. The travel takes distance / speed + ramp; a ramp longer than distance / speed is
-    shortened to it, so that the speed is reached on any distance.
+    Between them the speed is constant, or changes evenly to `end_speed`. Acceleration is continuous there if it is
+    constant. The travel takes distance / mean speed + ramp; a ramp longer than that first part is shortened to it, so
+    that the speed is reached on any distance.
     """
-    ramp = min(ramp_s, distance / speed)
+    last = speed if end_speed is None else end_speed
+    mean = speed if end_speed is None else 0.5 * (speed + end_speed)
+    ramp = min(ramp_s, distance / mean)
     if ramp < 1e-6:
-        duration = distance / speed + ramp
-        return Keyframes(start_s + np.array([0.0, duration]), np.array([0.0, distance]), np.array([speed, speed]))
-    cruise = distance / speed - ramp
+        duration = distance / mean + ramp
+        return Keyframes(start_s + np.array([0.0, duration]), np.array([0.0, distance]), np.array([mean, mean]))
+    cruise = distance / mean - ramp
     # In the first half of a ramp of duration r the speed is 2v·(t/r)², which covers v·r/12; the second mirrors it.
     half = np.array([0.0, ramp / 2, ramp])
     covered = np.array([0.0, ramp / 12, ramp / 2])
     rise = np.array([0.0, 0.5, 1.0])
     time = np.concatenate([half, ramp + cruise + half])
-    value = np.concatenate([covered, ramp + cruise - covered[::-1]])
-    keys = Keyframes(start_s + time, speed * value, speed * np.concatenate([rise, rise[::-1]]))
+    if end_speed is None:
+        value = speed * np.concatenate([covered, ramp + cruise - covered[::-1]])
+    else:
+        value = np.concatenate([speed * covered, distance - last * covered[::-1]])
+    keys = Keyframes(start_s + time, value, np.concatenate([speed * rise, last * rise[::-1]]))
     distinct = np.concatenate([[True], np.diff(keys.time) > 1e-9])
     return Keyframes(keys.time[distinct], keys.value[distinct], keys.slope[distinct])
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene.mesh import TriangleMesh
+from ..scene.mesh import TriangleMesh, has_steep_relief, smooth_normals_near
 from ..scene.raycast import RayCaster, find_closest_barycentric
 from .contacts import compute_tangents, interpolate_normals
 
@@ -31,6 +31,8 @@ CANDIDATE_COUNT = 256
 """Number of candidates spread over the area."""
 LARGEST_FACE_COUNT = 64
 """Number of largest polygons whose centres are candidates."""
+SMOOTHED_CANDIDATES = 12
+"""Number of candidates around which the smooth shape of a mesh with relief is computed."""
 COST_POINT_COUNT = 33
 """Number of path points that are tested."""
 COARSE_STRIDE = 8
@@ -62,7 +64,11 @@ class Placement:
 
 
 def find_placements(
-    mesh: TriangleMesh, caster: RayCaster, slot: int, make_path: Callable[[float], Float]
+    mesh: TriangleMesh,
+    caster: RayCaster,
+    slot: int,
+    make_path: Callable[[float], Float],
+    sizes: Sequence[float] = CANDIDATE_SIZES_M,
 ) -> Iterator[Placement]:
     """Yield placements of a path on a material slot, best first.
 
@@ -79,6 +85,8 @@ def find_placements(
         Material slot.
     make_path : callable
         Function from a size [m] to a path (k, 2) in the tangent plane [m].
+    sizes : sequence of float
+        Sizes to try, the largest first [m].
 
     Yields
     ------
@@ -91,7 +99,7 @@ def find_placements(
     cached: dict[float, tuple[Float, Float]] = {}
     for is_small in (False, True):
         for openness in OPENNESS_M:
-            for size in CANDIDATE_SIZES_M:
+            for size in sizes:
                 if (size < PREFERRED_MIN_SIZE_M) != is_small:
                     continue
                 if size not in cached:
@@ -102,6 +110,18 @@ def find_placements(
                 valid = np.flatnonzero(np.isfinite(cost) & (clearance >= openness))
                 for i in valid[np.argsort(np.round(cost[valid], 6), kind="stable")]:
                     yield Placement(centre[i], x_axis[i], normal[i], size, openness, float(cost[i]))
+
+
+def smooth_for_placement(mesh: TriangleMesh, slot: int) -> TriangleMesh | None:
+    """Return a mesh with the normals of its smooth shape around some candidates, None if it has no steep relief.
+
+    On steep ridges the mesh's own normals tilt everywhere, and no path fits.
+    """
+    if not has_steep_relief(mesh, slot):
+        return None
+    centre, _, _ = sample_candidates(mesh, slot)
+    spread = centre[:: max(len(centre) // SMOOTHED_CANDIDATES, 1)]
+    return smooth_normals_near(mesh, spread, 0.7 * CANDIDATE_SIZES_M[0])
 
 
 def sample_candidates(mesh: TriangleMesh, slot: int) -> tuple[Float, Float, Float]:

@@ -1,4 +1,4 @@
-"""Synthetic actions for training and evaluation: steady, circular, or with smooth random speed, force, direction."""
+"""Synthetic actions for training and evaluation: steady, circular, primitive, or smooth and random."""
 
 from __future__ import annotations
 

@@ -87,6 +87,11 @@ class LiveSource:
         self._latencies = DurationHistogram()
         self.rejected_events = 0
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings of the synthesis, in words."""
+        return self._synthesis.warnings
+
     def move(self, time_s: float, position_m: tuple[float, float], force_n: float, material: int = 0) -> None:
         """Report the hand's position and force.
 

@@ -320,7 +320,9 @@ class Player:
     def _report_began(self, playing: Playback) -> None:
         device = playing.device
         queue_ms = 1e3 * device.queue_frames / device.rate_hz
-        self._send_report(Began(playing.play, device.device, device.rate_hz, queue_ms, playing.note))
+        warnings = playing.source.warnings if isinstance(playing.source, LiveSource) else ()
+        note = "; ".join((playing.note, *warnings))
+        self._send_report(Began(playing.play, device.device, device.rate_hz, queue_ms, note))
         self.playback = playing
 
     def _get_playback(self) -> Playback:

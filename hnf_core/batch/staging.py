@@ -26,6 +26,7 @@ from typing import IO, Any
 from .. import __version__
 from ..errors import FileError
 from ..files import FOLDER_MODE, content_hash, write_text
+from ..progress import add_work
 from .jobs import RECORD_NAME
 
 BLOCK_BYTES = 1 << 20
@@ -87,6 +88,7 @@ def compute_version() -> str:
 
 
 def _hash_content(path: Path) -> str:
+    add_work("hashed_files", item=str(path))
     digest = hashlib.blake2b(digest_size=16)
     with path.open("rb") as stream:
         while block := stream.read(BLOCK_BYTES):

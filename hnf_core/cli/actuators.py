@@ -27,11 +27,10 @@ from ..actuators.stream_targets import (
     make_sink,
     parse_target,
 )
-from ..errors import FileError, UsageError
+from ..errors import FileError, UsageError, pluralize
 from ..export.wav import read_wav, write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..signal import Signal
-from ..text import pluralize
 from ..units import STANDARD_GRAVITY
 from .commands import HELP, parse_seed
 

@@ -156,12 +156,13 @@ def _find_inputs(job: Job, base: Path, job_folder: Path) -> tuple[str, ...]:
 
 def _parse_job(job: Job) -> argparse.Namespace:
     from .main import build_parser
+    from .synth import check_arguments
 
     output = io.StringIO()
     try:
         with contextlib.redirect_stderr(output), contextlib.redirect_stdout(output):
             verb, subject = (*job.words, "")[:2]
-            return build_parser(lambda _arguments: 0, only=verb, subject=subject).parse_args(list(job.command))
+            parsed = build_parser(lambda _arguments: 0, only=verb, subject=subject).parse_args(list(job.command))
     except SystemExit as stop:
         last_line = (output.getvalue().strip().splitlines() or ["it asks for nothing"])[-1]
         raise UsageError(
@@ -169,6 +170,9 @@ def _parse_job(job: Job) -> argparse.Namespace:
             where=f"job {job.name}",
             remedy=f"Try it alone: hnf {' '.join(job.command)}",
         ) from stop
+    if verb == "synth":
+        check_arguments(parsed)
+    return parsed
 
 
 def _report_outcome(outcome: Outcome, retried: bool, folder: Path, as_json: bool) -> None:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..action.action import write_action_csv
 from ..actuators.profile import GENERIC, PROFILES
 from ..actuators.profile_json import load_profile
 from ..errors import UsageError
@@ -20,12 +21,18 @@ from ..export.touched_surface import TouchedSurface
 from ..export.wav import read_wav_with_units
 from .commands import HELP
 
+ACTION_FORMAT = "action"
+"""Name of the table of u(t), which is no signal and read from --scene alone."""
+
 SceneReader = Callable[[Path, Mapping[str, str], str | None], TouchedSurface]
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     """Add `hnf export`."""
-    listed = "\n".join(f"  {form.word:<8} {form.what}" for form in FORMATS.values())
+    described = {form.word: form.what for form in FORMATS.values()} | {
+        ACTION_FORMAT: "how it was touched, for --action"
+    }
+    listed = "\n".join(f"  {word:<8} {what}" for word, what in described.items())
     parser: argparse.ArgumentParser = verbs.add_parser(
         "export",
         help=HELP["export"],
@@ -38,7 +45,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--format", required=True, metavar="WORD", help="one of those below")
     parser.add_argument("--out", type=Path, required=True, metavar="F", help="file to write")
     parser.add_argument(
-        "--scene", type=Path, metavar="BAKED.blend", help="what the stroke was drawn on, for hjif and glb"
+        "--scene", type=Path, metavar="BAKED.blend", help="what the stroke was drawn on, for hjif, glb and action"
     )
     parser.add_argument("--object", metavar="NAME", help="which mesh of --scene; default: as FILE.wav says")
     add_scale_options(parser)
@@ -80,12 +87,12 @@ def get_scale(arguments: argparse.Namespace) -> tuple[float | None, tuple[float,
     return full_scale, range_hz
 
 
-def check_output(out: Path, suffix: str, source: Path) -> None:
+def check_output(out: Path, suffix: str, source: Path, option: str = "--out") -> None:
     """Check the suffix of the output, and that it is not the input file. Raises UsageError."""
     if out.suffix.lower() != suffix:
-        raise UsageError(f"--out {out}: such a file ends in {suffix}.", remedy=f"Give --out {out.stem}{suffix}")
+        raise UsageError(f"{option} {out}: such a file ends in {suffix}.", remedy=f"Give {option} {out.stem}{suffix}")
     if out.exists() and source.exists() and out.samefile(source):
-        raise UsageError(f"--out {out} is the file that is read.", remedy="Give another name.")
+        raise UsageError(f"{option} {out} is the file that is read.", remedy="Give another name.")
 
 
 def refuse_scene(scene: Path, provenance: Mapping[str, str], object_name: str | None) -> TouchedSurface:
@@ -116,6 +123,8 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -
     HnfError
         If the export fails.
     """
+    if arguments.format == ACTION_FORMAT:
+        return _export_action(arguments, read_scene)
     form = format_of(arguments.format)
     check_output(arguments.out, form.suffix, arguments.file)
     if arguments.scene is not None and not form.surface:
@@ -146,6 +155,24 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -
         print("hnf: what was clipped fits a larger --full-scale, or a stronger actuator.", file=sys.stderr)
     elif assumed and not arguments.json:
         print(f"- 1 is {DEFAULT_FULL_SCALE_M_S2:g} m/s², {_explain_assumption(arguments.profile)}")
+    return 0
+
+
+def _export_action(arguments: argparse.Namespace, read_scene: SceneReader) -> int:
+    """Write how the stroke of a signal touched its surface, as `hnf synth --action` reads it."""
+    check_output(arguments.out, ".csv", arguments.file)
+    if arguments.scene is None:
+        raise UsageError("a signal does not say how it was touched.", remedy="Name its scene: --scene TOUCHED.blend")
+    surface = read_scene(arguments.scene, read_wav_with_units(arguments.file).provenance, arguments.object)
+    if surface.action is None:
+        raise UsageError(
+            f"'{surface.name}' in {arguments.scene} has no stroke of {arguments.file}.",
+            remedy="Name the .blend that hnf touch wrote beside it.",
+        )
+    write_action_csv(arguments.out, surface.action)
+    record = {"file": str(arguments.out), "format": ACTION_FORMAT, "duration_s": surface.action.duration_s}
+    text = f"{arguments.out}: {surface.action.duration_s:.2f} s of u(t), for hnf synth --action"
+    print(json.dumps(record, indent=1) if arguments.json else text)
     return 0
 
 

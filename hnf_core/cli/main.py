@@ -111,7 +111,7 @@ def main(argv: Sequence[str], run_touch: Runner, run_export: Runner | None = Non
 def _make_unknown_command_error(word: str) -> UsageError:
     if word in LABORATORY_HELP:
         return make_laboratory_error(word)
-    from ..text import close_matches  # imported only when a correction is needed
+    from ..errors import close_matches  # imported only when a correction is needed
 
     verbs = (*COMMAND_MODULES, *find_plugins(COMMAND_GROUP))
     matches = close_matches(word, verbs)

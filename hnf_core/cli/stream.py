@@ -29,8 +29,7 @@ from ..actuators.sink import SinkFormat
 from ..actuators.sources import Acceleration, BufferSource, TruncatedSource, db_to_gain, read_accelerations
 from ..actuators.stream import Stream, StreamReport
 from ..actuators.stream_targets import TARGET_FORMS, FileTarget, Target, make_sink, parse_target
-from ..errors import DeviceError, UsageError
-from ..text import pluralize
+from ..errors import DeviceError, UsageError, pluralize
 from .commands import HELP
 
 METER_MIN_DB = -60.0

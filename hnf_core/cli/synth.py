@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..action.action import read_action_csv
+from ..action.action import ACTION_RATE_HZ, read_action_csv, write_action_csv
 from ..action.parse_stroke import parse_stroke
 from ..action.primitive_path import make_primitive_action
 from ..action.primitives import PRIMITIVES
 from ..errors import UsageError
-from ..export.wav import write_wav, write_wav_stream
+from ..export.wav import write_wav, write_wav_channels, write_wav_stream
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.field import Field
 from ..field.prepare import supports_tolerance
@@ -38,16 +38,18 @@ from ..field.resampling import (
     resample_stream,
 )
 from ..field.stroke import StrokeInput, resample_action, sample_count, uniform_stroke
-from ..field.synthesis import synthesise, tolerance_warning
-from ..field.weights import load_field, load_field_for_encoders, load_material_field, read_trained_material
-from ..material.hnf_file import HNF_SUFFIX, read_hnf, with_library_defaults
+from ..field.synthesis import AXES, synthesise, synthesise_axes, tolerance_warning
+from ..field.weights import load_field, read_trained_material, resolve_material_field
+from ..material.fuse import ROUTE_CONFIDENCE, fuse
+from ..material.hnf_file import HNF_SUFFIX, read_hnf
 from ..material.library import LibraryMaterial
-from ..material.probe import PROBES
+from ..material.probe import PROBE_NAMES, get_probe
 from ..material.ranking import find_material
-from ..material.token import split_encoders
 from ..progress import Progress, ProgressBar
 from ..signal import Signal
 from .commands import HELP, parse_seed
+from .describe import TOUCH_OPTIONS, add_touch_options, describe_touch_image
+from .export import check_output
 
 MAX_IN_MEMORY_S = 120.0
 """Longest duration of a signal that is computed in one piece [s]."""
@@ -174,9 +176,16 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "synth",
         help=HELP["synth"],
         description="Synthesise the vibration of a stroke on a library material, on one kept as a file (.hnf), or on "
-        "the one that a weights file was trained for, and write it as float32 WAV in m/s². Needs no Blender.",
+        "the one that a weights file was trained for, or on what a picture of a touch sensor shows, and write it as "
+        "float32 WAV in m/s². Needs no Blender.",
     )
-    material = parser.add_mutually_exclusive_group(required=True)
+    parser.add_argument(
+        "--touch", type=Path, metavar="IMAGE",
+        help="a picture of a GelSight or DIGIT: its relief is felt; mechanics and the rest are the nearest "
+        "material's, or --material's",
+    )  # fmt: skip
+    add_touch_options(parser)
+    material = parser.add_mutually_exclusive_group()
     material.add_argument(
         "--material",
         metavar="NAME|FILE.hnf",
@@ -186,10 +195,14 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     stroke = parser.add_mutually_exclusive_group(required=True)
     stroke.add_argument(
         "--stroke", type=parse_stroke, metavar="WORDS",
-        help=f"{', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s'",
+        help=f"{', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s', 'tap twice, then rub "
+        "slowly in circles'",
     )  # fmt: skip
     stroke.add_argument(
         "--action", type=Path, metavar="FILE.csv", help="a table time_s,direction_rad,speed_m_s,force_n; any time grid"
+    )
+    parser.add_argument(
+        "--write-action", type=Path, metavar="FILE.csv", help="write the stroke as a table that --action reads, too"
     )
     parser.add_argument("--rate", type=float, default=MODEL_RATE_HZ, metavar="HZ", help="sample rate (default 10000)")
     parser.add_argument(
@@ -202,14 +215,34 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--seed", type=parse_seed, default=0, metavar="N", help="another seed, another draw of the same touch"
     )
-    parser.add_argument("--probe", choices=sorted(PROBES), default="pen", help="what touches (default pen)")
+    parser.add_argument(
+        "--probe",
+        default="pen",
+        metavar="PROBE",
+        help=f"what touches: {', '.join(PROBE_NAMES)}, or a probe file (.toml); default pen",
+    )
+    parser.add_argument(
+        "--axes", action="store_true", help="three channels: along the stroke, across it, along the surface's normal"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="X.wav", help="file to write")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser
 
 
+def check_arguments(arguments: argparse.Namespace) -> None:
+    """Check that a material is given and that the options of a touch image have one; raise UsageError otherwise."""
+    material, touch = arguments.material, arguments.touch
+    if material is None and arguments.weights is None and touch is None:
+        raise UsageError("a material is needed.", remedy="Give --material NAME, --touch IMAGE or --weights FILE.")
+    if touch is None and any(getattr(arguments, name) is not None for name in TOUCH_OPTIONS):
+        raise UsageError("--sensor, --background and the like say how --touch is decoded.", remedy="Give --touch.")
+    if touch is not None and (arguments.weights or (material or "").lower().endswith(HNF_SUFFIX)):
+        raise UsageError("--touch goes with a library material.", remedy="Leave out --weights, or name a material.")
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run `hnf synth`; return the exit code. Raises HnfError."""
+    check_arguments(arguments)
     if not MIN_RATE_HZ <= arguments.rate <= MAX_RATE_HZ:
         raise UsageError(
             f"--rate {arguments.rate:.10g}: not within {MIN_RATE_HZ:.0f} to {MAX_RATE_HZ:.0f} Hz.",
@@ -217,32 +250,53 @@ def run(arguments: argparse.Namespace) -> int:
         )
     if arguments.rate != round(arguments.rate):
         raise UsageError(f"--rate {arguments.rate:.10g}: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
+    if arguments.write_action is not None:
+        if arguments.action is not None:
+            raise UsageError("--write-action with --action: the table is there.", remedy="Leave out one of them.")
+        check_output(arguments.write_action, ".csv", arguments.out, "--write-action")
+    get_probe(arguments.probe)  # Raises what is wrong with it before anything is computed.
     tolerance = _db_to_ratio(arguments.tolerance)
-    field, material, notes = _load_field_and_material(arguments.material, arguments.weights)
+    if arguments.touch is None:
+        field, material, notes = _load_field_and_material(arguments.material, arguments.weights)
+        facts = {"material": material.name}
+    else:
+        field, material, notes, facts = _load_touch(arguments)
     action_warnings = [*notes]
     if arguments.action is not None:
-        action = read_action_csv(arguments.action, arguments.probe, warn=action_warnings.append)
+        rate = MODEL_RATE_HZ if field.metadata.get("actions") == "raw" else ACTION_RATE_HZ
+        action = read_action_csv(arguments.action, arguments.probe, rate, warn=action_warnings.append)
         stroke_name = arguments.action.name
     else:
         action = replace(make_primitive_action(arguments.stroke, seed=arguments.seed), probe=arguments.probe)
         stroke_name = arguments.stroke.name
+        if arguments.write_action is not None:
+            write_action_csv(arguments.write_action, action)
     stroke = uniform_stroke(action, material.token, material.mechanics)
     if tolerance is not None and not supports_tolerance(field, stroke):
         raise UsageError(
             "--tolerance has no say over these weights: their heads lag one another, and are heard at every state.",
             remedy="Leave it out, or train with --accumulation past.",
         )
-    facts = {"stroke": stroke_name, "material": material.name}
+    facts = {"stroke": stroke_name, **facts}
+    if arguments.axes and (tolerance is not None or is_long(action.duration_s, arguments.rate)):
+        raise UsageError(
+            f"--axes works for strokes of up to {MAX_IN_MEMORY_S:.0f} s, without --tolerance.",
+            remedy="Shorten the stroke, or leave one of them out.",
+        )
     write = write_in_chunks if is_long(action.duration_s, arguments.rate) else _write_in_memory
-    written = write(
-        arguments.out, field, stroke, seed=arguments.seed, rate=arguments.rate, facts=facts, tolerance=tolerance
-    )
+    if arguments.axes:
+        written = _write_axes(arguments.out, field, stroke, arguments.seed, arguments.rate, facts)
+    else:
+        written = write(
+            arguments.out, field, stroke, seed=arguments.seed, rate=arguments.rate, facts=facts, tolerance=tolerance
+        )
     warnings = (*action_warnings, *written.warnings)
     for warning in warnings:
         print(f"hnf: {warning}", file=sys.stderr)
     record = {
         "wav": str(arguments.out),
-        "material": material.name,
+        "action": None if arguments.write_action is None else str(arguments.write_action),
+        **facts,
         "stroke": stroke_name,
         "probe": arguments.probe,
         "seed": arguments.seed,
@@ -273,6 +327,20 @@ def _write_in_memory(
     return WrittenSignal(signal.sample_rate, signal.duration_s, signal.rms, peak, result.confidence, result.warnings)
 
 
+def _write_axes(
+    path: Path, field: Field, stroke: StrokeInput, seed: int, rate: float, facts: Mapping[str, str]
+) -> WrittenSignal:
+    """Write the three axes of a stroke as channels; RMS and peak are of all axes together."""
+    results = synthesise_axes(field, stroke, seed=seed, sample_rate=rate)
+    named = {**facts, "channels": ", ".join(AXES)}
+    signals = [replace(each.signal, provenance={**each.signal.provenance, **named}) for each in results]
+    write_wav_channels(path, signals)
+    power = np.sum([np.square(each.samples, dtype=np.float64) for each in signals], axis=0)
+    first, warnings = signals[0], tuple(dict.fromkeys(text for each in results for text in each.warnings))
+    rms, peak = float(np.sqrt(power.mean())), float(np.sqrt(power.max(initial=0.0)))
+    return WrittenSignal(first.sample_rate, first.duration_s, rms, peak, results[0].confidence, warnings)
+
+
 def _db_to_ratio(tolerance_db: float | None) -> float | None:
     if tolerance_db is None:
         return None
@@ -292,13 +360,31 @@ def _load_field_and_material(
         field = load_field(weights)
         return field, read_trained_material(field, str(weights)), ()
     if material.lower().endswith(HNF_SUFFIX):
-        described = read_hnf(Path(material))
-        learned = load_material_field(described)
-        if learned is not None:
-            return learned, read_trained_material(learned, material), ()
-        return load_field_for_encoders(split_encoders(described.encoder)), with_library_defaults(described), ()
+        return *resolve_material_field(read_hnf(Path(material)), material), ()
     found, suggestion = find_material(material)
     if suggestion is None:
         return load_field(), found, ()
     note = f"no library material is called {material!r}: {found.name} is taken, {suggestion.probability:.0%} likely "
     return load_field(), found, (f"{note}by its words ({suggestion.reason}).",)
+
+
+def _load_touch(arguments: argparse.Namespace) -> tuple[Field, LibraryMaterial, tuple[str, ...], dict[str, str]]:
+    """Return the field, the material of a touch image, notes, and facts for the provenance."""
+    named = arguments.material
+    described = describe_touch_image(arguments.touch, arguments)
+    nearest, notes = described.ranked[0], [f"{note}." for note in described.decoded.notes]
+    material, suggestion = find_material(nearest.name if named is None else named)
+    confidence = nearest.confidence if named is None else 1.0 if suggestion is None else suggestion.confidence
+    if named is None:
+        notes.append(f"{nearest.name} is the nearest material, {nearest.confidence:.0%} apt: its mechanics are taken.")
+    tactile_map = described.decoded.tactile_map
+    fused = fuse(described.token, material.token, confidence, tactile_map.route)
+    facts = {
+        "material": material.name,
+        "touch": arguments.touch.name,
+        "touch_sensor": tactile_map.sensor,
+        "touch_decoded_by": tactile_map.height_source,
+        "touch_bands": " ".join(route.value for route in fused.routes),
+        "touch_confidence": f"{np.mean([ROUTE_CONFIDENCE.get(route, 0.0) for route in fused.routes]):.2f}",
+    }
+    return load_field(), replace(material, token=fused.values), tuple(notes), facts

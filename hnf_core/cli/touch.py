@@ -40,16 +40,17 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--stroke", action="append", default=[], metavar="WORDS", type=parse_stroke, dest="strokes",
-        help=f"place a stroke: {', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s'. "
-        "Needs --on. Strokes drawn in the scene are computed too",
+        help=f"place a stroke: {', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s', "
+        "'tap twice, then rub slowly in circles'. Needs --on. Strokes drawn in the scene are computed too",
     )  # fmt: skip
     parser.add_argument(
         "--on", action="append", default=[], metavar="OBJECT[:SLOT]", dest="targets",
         help="where to place the stroke named before it; SLOT is a material's name or its number from 0",
     )  # fmt: skip
     parser.add_argument(
-        "--material", action="append", default=[], metavar="OBJECT[:SLOT]=NAME", dest="materials",
-        help="use this library material there (see: hnf materials)",
+        "--material", action="append", default=[], metavar="OBJECT[:SLOT]=NAME|FILE", dest="materials",
+        help="use this material there: of the library (see: hnf materials), of a .hnf file, or of the .safetensors "
+        "weights that hnf train field wrote",
     )  # fmt: skip
     parser.add_argument(
         "--at", action="append", default=[], metavar="OBJECT:u,v", type=parse_touch_query, dest="queries",
@@ -61,6 +62,11 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "--encoder", default="", metavar="NAME|FILE",
         help="the encoder that describes tactile maps: band-descriptor-1, alexnet-bands-1, or a file written by "
         "hnf train encoder; default: band-descriptor-1",
+    )  # fmt: skip
+    parser.add_argument(
+        "--height-as-authored", action="store_true",
+        help="keep every relief's height, also where no surface is known to be so high; else its shape gets the height "
+        "of the material",
     )  # fmt: skip
     parser.add_argument("--scale", type=float, metavar="METRES_PER_UNIT", help="length of one scene unit in metres")
     parser.add_argument("--seed", type=parse_seed, metavar="N", help="seed of all strokes; default: each stroke's own")
@@ -91,6 +97,7 @@ def make_touch_request(arguments: argparse.Namespace) -> TouchRequest:
         as_json=arguments.json,
         queries=tuple(arguments.queries),
         encoder=arguments.encoder,
+        height_as_authored=arguments.height_as_authored,
     )
     if not request.plan_only:
         request.folder  # raises before Blender starts if it is invalid  # noqa: B018
@@ -108,5 +115,7 @@ def _refuse_former_query(text: str) -> None:
 def _parse_material_choice(text: str) -> MaterialChoice:
     target, equals, material = text.rpartition("=")
     if not equals or not target or not material:
-        raise UsageError(f"--material {text!r} is not OBJECT[:SLOT]=NAME.", remedy="Example: --material Cup=oak-wood")
+        raise UsageError(
+            f"--material {text!r} is not OBJECT[:SLOT]=NAME|FILE.", remedy="Example: --material Cup=oak-wood"
+        )
     return MaterialChoice(target, material)

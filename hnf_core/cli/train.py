@@ -28,12 +28,14 @@ from .commands import (
 )
 
 if TYPE_CHECKING:
-    from ..datasets.recording import DataSet, Recording
+    from ..datasets.recording import DataSet, Recording, TextureProcess
     from ..training.tactile_map.train_map import Distance
     from ..training.train_material import TrainingResult
 
 SIMULATED_PAIRS = "simulated"
 DEFAULT_MINUTES = 60.0
+DEFAULT_SECONDS, PUBLISHED_SECONDS = 480.0, 20.0
+"""Strokes that are synthesised from a model [s]; the published form's fill its C = 200 windows of 0.1 s."""
 
 
 def _add_tactile_map(subjects: Any) -> argparse.ArgumentParser:
@@ -155,20 +157,34 @@ def _add_field(subjects: Any) -> None:
     parser.add_argument("--material", required=True, metavar="NAME", help="material, as the data set calls it")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="weights to write (.safetensors)")
     parser.add_argument(
-        "--seconds", type=float, default=480.0, metavar="S", help="strokes to synthesise from a model (default 480)"
-    )
+        "--seconds", type=float, metavar="S",
+        help="strokes to synthesise from a model (default 480; published form: 20, its 200 windows)",
+    )  # fmt: skip
     parser.add_argument(
         "--source", choices=["model", "recordings"], help="where a data set has both (default: its model)"
     )
+    parser.add_argument(
+        "--form", choices=["carriers", "published"], default="carriers",
+        help="published: the paper's literal model, with its loss and schedule; default: noise carriers",
+    )  # fmt: skip
+    parser.add_argument(
+        "--actions", choices=["raw", "low-passed"], default="low-passed",
+        help="for the published form: as the sensors recorded them, vibration and all, or as a hand moves (default)",
+    )  # fmt: skip
     parser.add_argument("--hidden", type=int, metavar="H", help="units per layer (default: chosen by the data)")
     parser.add_argument("--layers", type=int, metavar="L", help="layers (default 4)")
     parser.add_argument(
-        "--states", type=int, metavar="N", help="states accumulated (default 1, or 5 where hands turn back)"
+        "--states", type=int, metavar="N", help="states accumulated (default: 1 or 5, whatever validates better)"
     )
     parser.add_argument(
         "--accumulation", choices=["past", "heads"], help="N past states, or N heads of one state as published"
     )
     parser.add_argument("--epochs", type=int, metavar="N", help="at most so many epochs")
+    parser.add_argument(
+        "--augment", action="store_true",
+        help="add the eight primitives (HNF+) on a model, and for the published form; otherwise each recorded window "
+        "backward, as if the hand had moved the other way",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of strokes, noise and initial weights")
     parser.add_argument("--fresh", action="store_true", help="start anew even where a killed run could go on")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
@@ -180,8 +196,24 @@ def run(arguments: argparse.Namespace) -> int:
     from ..datasets.registry import get_training_recordings
 
     kind, data = _open_data(arguments.data)
-    recordings = get_training_recordings(data, arguments.material, arguments.seconds, arguments.seed, arguments.source)
-    trained, record = _train_field(arguments, kind, data, recordings)
+    published = arguments.form == "published"
+    seconds = arguments.seconds
+    if seconds is None:
+        seconds = PUBLISHED_SECONDS if published else DEFAULT_SECONDS
+    process = None if arguments.source == "recordings" else data.process(arguments.material)
+    for is_wrong, what, remedy in (
+        (arguments.epochs is not None and arguments.epochs < 1, "--epochs must be at least 1.", ""),
+        (published and arguments.accumulation == "past", "the published form has heads of one state, no past states.",
+         "Leave --accumulation out."),
+        (arguments.actions == "raw" and not published, "--actions raw is for --form published alone.",
+         "Leave one out, or add the other."),
+        (arguments.actions == "raw" and process is not None, "strokes on a model have no raw action.",
+         "Give recordings, or leave --actions out."),
+    ):  # fmt: skip
+        if is_wrong:
+            raise UsageError(what, remedy=remedy)
+    recordings = get_training_recordings(data, arguments.material, seconds, arguments.seed, arguments.source)
+    trained, record = _train_field(arguments, kind, process, recordings)
     from ..export.plots.figure import write_training_curve
 
     save_field(arguments.out, trained.field)
@@ -201,29 +233,36 @@ def _open_data(words: list[str]) -> tuple[str, DataSet]:
 
 
 def _train_field(
-    arguments: argparse.Namespace, kind: str, data: DataSet, recordings: list[Recording]
+    arguments: argparse.Namespace, kind: str, process: TextureProcess | None, recordings: list[Recording]
 ) -> tuple[TrainingResult, dict[str, Any]]:
     from ..datasets.registry import LICENCES
 
     with require_torch("training"):
         from ..training.from_recordings import TrainingOverrides, train_from_recordings
+        from ..training.published_form import make_added_strokes
     checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
     if arguments.fresh:
+        for path in checkpoint.parent.glob(f"{arguments.out.name}.*checkpoint"):
+            path.unlink()
         checkpoint.unlink(missing_ok=True)
     found_checkpoint = checkpoint.exists()
     bar = ProgressBar()
+    strokes_primitives = process is not None or arguments.form == "published"
 
     def watch(done: int, total: int, loss: float) -> None:
         if done == 1 and found_checkpoint:
             print(f"hnf: {checkpoint} is damaged or of another run: training began anew.", file=sys.stderr)
         bar.show(Progress(f"validation loss {loss:.4f}", done, total))
 
+    overrides = TrainingOverrides(
+        arguments.hidden, arguments.layers, arguments.states, arguments.accumulation, arguments.epochs, arguments.form,
+        arguments.actions, arguments.augment and not strokes_primitives,
+    )  # fmt: skip
+    added = make_added_strokes(process, recordings, arguments.seed) if arguments.augment and strokes_primitives else ()
     try:
         return train_from_recordings(
-            recordings, kind, LICENCES[kind], arguments.seed,
-            TrainingOverrides(arguments.hidden, arguments.layers, arguments.states, arguments.accumulation,
-            arguments.epochs),
-            checkpoint, watch,
+            recordings, kind, LICENCES[kind], arguments.seed, overrides, checkpoint, watch, compare=process is None,
+            added=added,
         )  # fmt: skip
     finally:
         bar.close()
@@ -240,4 +279,7 @@ def _format_record(record: dict[str, Any]) -> str:
         )
     )
     notes = f" ({'; '.join(record['notes'])})" if record["notes"] else ""
-    return f"{record['weights']}: {record['material']}, {record['training_data']}{notes}; {held_out}"
+    text = (
+        f"{record['weights']}: {record['material']}, {record['training_data']}{notes}; {record['settings']}; {held_out}"
+    )
+    return f"{text}\n{record['choice']}" if record["choice"] else text

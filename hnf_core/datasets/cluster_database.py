@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..action.action import ACTION_RATE_HZ, Action
 from ..errors import FileError
-from ..simulation.dft321 import dft321
+from ..signal import dft321
 from .data_files import find_files, parse_unit_factor, read_table
 from .recording import ActionRange, DataSet, Recording, compute_action_range, match_name
 from .time_series import (
@@ -159,20 +160,27 @@ def _assemble_piece(
     known, notes = set(), [resampled_from, "the probe is taken as the pen", *piece.notes]
     angle, speed, newtons = _parse_stroke_name(path)
     if force is None:
-        force_n = np.full(count, newtons)
         notes.append(f"no force file: {newtons:g} N assumed, as its name says")
     else:
-        force_n = resample_to_action_rate(*force, start, count)[:, 0]
         known.add("force")
     if position is None:
-        direction, speed_m_s = constant_direction(count, angle), np.full(count, speed)
         notes.append(f"no position file: {np.degrees(angle):g}° and {speed:g} m/s assumed, as its name says")
     else:
-        direction, speed_m_s = derive_motion(resample_to_action_rate(*position, start, count))
         known |= {"direction", "speed"}
+
+    def measure_action(count: int, rate: float) -> Action:
+        force_n = np.full(count, newtons)
+        direction, speed_m_s = constant_direction(count, angle), np.full(count, speed)
+        if force is not None:
+            force_n = resample_to_action_rate(*force, start, count, rate)[:, 0]
+        if position is not None:
+            direction, speed_m_s = derive_motion(resample_to_action_rate(*position, start, count, rate), rate)
+        return build_action(direction, speed_m_s, force_n, rate)
+
     return Recording(
-        build_action(direction, speed_m_s, force_n), dft321(samples - samples.mean(axis=0)), SIGNAL_RATE_HZ, material,
+        measure_action(count, ACTION_RATE_HZ), dft321(samples - samples.mean(axis=0)), SIGNAL_RATE_HZ, material,
         where, frozenset(known), tuple(notes),
+        (lambda: measure_action(len(samples) + 1, SIGNAL_RATE_HZ)) if known else None,
     )  # fmt: skip
 
 

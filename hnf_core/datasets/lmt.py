@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError
-from ..simulation.dft321 import dft321
+from ..signal import dft321
 from .data_files import find_files, read_numbers
 from .recording import ActionRange, DataSet, Recording, match_name, normalise_name
 from .time_series import SIGNAL_RATE_HZ, build_action, constant_direction, count_action_samples

@@ -6,7 +6,7 @@ Every reader of this package converts its data to `Recording`; `DataSet` is the 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -39,6 +39,9 @@ class Recording:
         Quantities of "direction", "speed", "force" that were recorded; others are assumed.
     notes : tuple of str
         Assumptions of the reader.
+    measure_raw_action : callable or None
+        Returns the action as its sensors recorded it, at the rate of the samples and with the vibration in it; None
+        where no sensor did.
 
     Raises
     ------
@@ -53,6 +56,7 @@ class Recording:
     source: str
     known: frozenset[str] = frozenset({"direction", "speed", "force"})
     notes: tuple[str, ...] = ()
+    measure_raw_action: Callable[[], Action] | None = None
 
     def __post_init__(self) -> None:
         duration = len(self.samples) / self.sample_rate if self.sample_rate > 0.0 else 0.0

@@ -13,9 +13,9 @@ from ..action.action import Action
 from ..errors import UsageError
 from ..material.contact_model import Mechanics
 from ..material.library import LibraryMaterial, load_library
-from ..material.probe import PROBES
+from ..material.probe import get_probe
+from ..signal import dft321
 from ..simulation.contact_dynamics import SmoothedMaps
-from ..simulation.dft321 import dft321
 from ..simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate_batch
 from ..simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map
 from .recording import ActionRange, DataSet, Recording, match_name
@@ -74,7 +74,7 @@ class SimulatedProcess:
                 [patches[row % PATCH_COUNT] for row in rows],
                 [build_stroke(actions[row], starts[row], float(rotations[row])) for row in rows],
                 [self.mechanics] * len(rows),
-                PROBES[actions[rows[0]].probe],
+                get_probe(actions[rows[0]].probe),
             )[:, round(SETTLE_S * SAMPLE_RATE_HZ) :]
             for row, axes in zip(rows, acceleration, strict=True):
                 signals[row] = _fuse_axes(axes, actions[row])

@@ -1,22 +1,23 @@
 """Conversion of measured time series to a recording: acceleration at 10 kHz and an action at 200 Hz.
 
-Series may have any rising time grid. Motion and force are low-passed at the bandwidth of a hand.
+Series may have any rising time grid. Motion and force are low-passed at the bandwidth of a hand; a recording can also
+give them raw, at the rate of its samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ, Action
-from ..errors import FileError
+from ..errors import FileError, pluralize
 from ..field.resampling import resample
-from ..simulation.dft321 import dft321
-from ..text import pluralize
+from ..signal import dft321
 from .recording import Recording
 
 Float = NDArray[np.float64]
@@ -26,6 +27,8 @@ SIGNAL_RATE_HZ = 10_000.0
 HAND_BANDWIDTH_HZ = 20.0
 """Bandwidth of a hand's motion [Hz]. Above it a force or speed sensor shows the vibration itself, and a field would
 learn from an action that contains the signal."""
+RAW_BANDWIDTH_HZ = 1000.0
+"""Bandwidth of a raw action, that of the signal (Haptic Neural Fields, "Implementation")."""
 REST_SPEED_M_S = 1e-3
 """Speed below which the last direction is kept [m/s], since a tracked position is mostly noise then."""
 MIN_DURATION_S = 0.1
@@ -136,10 +139,13 @@ def smooth_series(values: Float, rate: float, cutoff_hz: float = HAND_BANDWIDTH_
     return np.asarray(np.fft.irfft(spectrum, len(extended), axis=0)[pad : pad + len(values)])
 
 
-def resample_to_action_rate(time: Float, values: Float, start: float, count: int) -> Float:
+def resample_to_action_rate(
+    time: Float, values: Float, start: float, count: int, rate: float = ACTION_RATE_HZ
+) -> Float:
     """Resample a measured quantity to the action rate, low-passed at `HAND_BANDWIDTH_HZ`.
 
-    It is smoothed on a grid as fine as the measurement, so that its vibration does not alias.
+    It is smoothed on a grid as fine as the measurement, so that its vibration does not alias. At a higher rate, that of
+    a raw action, it is low-passed at `RAW_BANDWIDTH_HZ`.
 
     Parameters
     ----------
@@ -151,18 +157,21 @@ def resample_to_action_rate(time: Float, values: Float, start: float, count: int
         Time of the first action sample [s].
     count : int
         Number of action samples.
+    rate : float
+        Rate of the action [Hz].
 
     Returns
     -------
     ndarray, shape (count,) or (count, k)
-        The quantity at 200 Hz.
+        The quantity at `rate`.
     """
-    rate = max(ACTION_RATE_HZ, (len(time) - 1) / float(time[-1] - time[0]))
+    fine = max(rate, (len(time) - 1) / float(time[-1] - time[0]))
     first = max(float(time[0]), start - SMOOTHING_MARGIN_S)
-    last = min(float(time[-1]), start + count / ACTION_RATE_HZ + SMOOTHING_MARGIN_S)
-    grid = first + np.arange(int((last - first) * rate + 1e-6) + 1) / rate
-    smooth = smooth_series(interpolate_series(time, values, grid), rate)
-    return interpolate_series(grid, smooth, start + np.arange(count) / ACTION_RATE_HZ)
+    last = min(float(time[-1]), start + count / rate + SMOOTHING_MARGIN_S)
+    grid = first + np.arange(int((last - first) * fine + 1e-6) + 1) / fine
+    cutoff_hz = HAND_BANDWIDTH_HZ if rate == ACTION_RATE_HZ else RAW_BANDWIDTH_HZ
+    smooth = smooth_series(interpolate_series(time, values, grid), fine, cutoff_hz)
+    return interpolate_series(grid, smooth, start + np.arange(count) / rate)
 
 
 def count_action_samples(duration_s: float, where: str) -> int:
@@ -176,22 +185,22 @@ def count_action_samples(duration_s: float, where: str) -> int:
     return int(duration_s * ACTION_RATE_HZ + 1e-6) + 1
 
 
-def build_action(direction: Float, speed: Float, force: Float, probe: str = "pen") -> Action:
-    """Build an action from direction (n, 2), speed (n,) [m/s] and force (n,) [N] at the action rate.
+def build_action(direction: Float, speed: Float, force: Float, rate: float = ACTION_RATE_HZ) -> Action:
+    """Build the pen's action from direction (n, 2), speed (n,) [m/s] and force (n,) [N] at a rate [Hz].
 
     Negative speed and force count as 0.
     """
     speed, force = np.maximum(speed, 0.0), np.maximum(force, 0.0)
-    position = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) / ACTION_RATE_HZ
-    return Action(ACTION_RATE_HZ, direction, speed, force, position, force > 0.0, probe)
+    position = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) / rate
+    return Action(rate, direction, speed, force, position, force > 0.0)
 
 
-def derive_motion(position: Float) -> tuple[Float, Float]:
-    """Derive direction (n, 2) and speed (n,) [m/s] from positions (n, 2) [m] at the action rate.
+def derive_motion(position: Float, rate: float = ACTION_RATE_HZ) -> tuple[Float, Float]:
+    """Derive direction (n, 2) and speed (n,) [m/s] from positions (n, 2) [m] at a rate [Hz].
 
     At rest the last direction is kept; before the first motion the first one, without any motion +x.
     """
-    velocity = np.gradient(position, 1.0 / ACTION_RATE_HZ, axis=0)
+    velocity = np.gradient(position, 1.0 / rate, axis=0)
     speed = np.linalg.norm(velocity, axis=1)
     moving = np.flatnonzero(speed > REST_SPEED_M_S)
     if len(moving) == 0:
@@ -280,12 +289,24 @@ def assemble_recording(signals: Sequence[MeasuredSignal], material: str, where: 
     notes = [note for signal in signals for note in signal.notes]
     acceleration = by_name["acceleration"]
     samples = _resample_acceleration(acceleration, round((count - 1) * SIGNAL_RATE_HZ / ACTION_RATE_HZ), where)
-    force, force_known = _resample_force(by_name.get("force"), count, notes, where)
-    direction, speed, moving_known = _resample_motion(by_name, count, notes, where)
+    action, known = _resample_action(by_name, count, notes)
     return Recording(
-        build_action(direction, speed, force), samples, SIGNAL_RATE_HZ, material, where,
-        frozenset(force_known + moving_known), tuple(dict.fromkeys(notes)),
+        action, samples, SIGNAL_RATE_HZ, material, where, known, tuple(dict.fromkeys(notes)),
+        partial(_resample_raw_action, by_name, len(samples) + 1) if known else None,
     )  # fmt: skip
+
+
+def _resample_action(
+    signals: dict[str, MeasuredSignal], count: int, notes: list[str], rate: float = ACTION_RATE_HZ
+) -> tuple[Action, frozenset[str]]:
+    """Return the action of `count` samples at a rate, and the names of its quantities that were recorded."""
+    force, force_known = _resample_force(signals.get("force"), count, notes, rate)
+    direction, speed, moving_known = _resample_motion(signals, count, notes, rate)
+    return build_action(direction, speed, force, rate), frozenset(force_known + moving_known)
+
+
+def _resample_raw_action(signals: dict[str, MeasuredSignal], count: int) -> Action:
+    return _resample_action(signals, count, [], SIGNAL_RATE_HZ)[0]
 
 
 def _resample_acceleration(acceleration: MeasuredSignal, count: int, where: str) -> Float:
@@ -300,7 +321,9 @@ def _resample_acceleration(acceleration: MeasuredSignal, count: int, where: str)
     return fused[:count].copy()
 
 
-def _resample_force(signal: MeasuredSignal | None, count: int, notes: list[str], where: str) -> tuple[Float, list[str]]:
+def _resample_force(
+    signal: MeasuredSignal | None, count: int, notes: list[str], rate: float
+) -> tuple[Float, list[str]]:
     if signal is None:
         notes.append("no force was recorded: 1 N assumed")
         return np.ones(count), []
@@ -310,16 +333,17 @@ def _resample_force(signal: MeasuredSignal | None, count: int, notes: list[str],
     if normal.mean() < 0.0:
         notes.append("force is negative on average: its sign is turned")
         normal = -normal
-    return resample_to_action_rate(signal.time, normal, 0.0, count), ["force"]
+    return resample_to_action_rate(signal.time, normal, 0.0, count, rate), ["force"]
 
 
 def _resample_motion(
-    signals: dict[str, MeasuredSignal], count: int, notes: list[str], where: str
+    signals: dict[str, MeasuredSignal], count: int, notes: list[str], rate: float
 ) -> tuple[Float, Float, list[str]]:
     position, speed = signals.get("position"), signals.get("speed")
     direction, speed_m_s, known = constant_direction(count, 0.0), np.full(count, 0.1), []
     if position is not None and position.values.shape[1] >= 2:
-        direction, speed_m_s = derive_motion(resample_to_action_rate(position.time, position.values[:, :2], 0.0, count))
+        plane = resample_to_action_rate(position.time, position.values[:, :2], 0.0, count, rate)
+        direction, speed_m_s = derive_motion(plane, rate)
         known = ["direction", "speed"]
     else:
         notes.append("no position in a plane was recorded: direction +x assumed")
@@ -327,7 +351,7 @@ def _resample_motion(
         measured_speed = (
             speed.values[:, 0] if speed.values.shape[1] == 1 else np.linalg.norm(speed.values[:, :2], axis=1)
         )
-        speed_m_s = np.abs(resample_to_action_rate(speed.time, measured_speed, 0.0, count))
+        speed_m_s = np.abs(resample_to_action_rate(speed.time, measured_speed, 0.0, count, rate))
         known = [*known, "speed"]
     elif not known:
         notes.append("no speed was recorded: 0.1 m/s assumed")

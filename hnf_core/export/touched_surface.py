@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..action.action import Action
 from ..errors import SceneError
 from ..material.palette import Palette
 from ..scene.mesh import TriangleMesh
@@ -69,6 +70,8 @@ class TouchedSurface:
         World [m] ← surface frame.
     path : StrokePath or None
         Path of the exported stroke; None if unknown.
+    action : Action or None
+        Action of the exported stroke; None if unknown.
 
     Raises
     ------
@@ -85,6 +88,7 @@ class TouchedSurface:
     palette: Palette | None
     placement: Float = field(default_factory=lambda: np.eye(4))
     path: StrokePath | None = None
+    action: Action | None = None
 
     def __post_init__(self) -> None:
         count, entries = len(self.mesh.triangles), 0 if self.palette is None else len(self.palette)

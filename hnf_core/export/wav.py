@@ -22,7 +22,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -62,6 +62,30 @@ def write_wav(path: Path, signal: Signal) -> None:
         written.
     """
     write_bytes(Path(path), encode_wav(signal, where=str(path)))
+
+
+def write_wav_channels(path: Path, signals: Sequence[Signal]) -> None:
+    """Write signals of one rate and length as the channels of a float32 WAV in m/s², atomically.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; an earlier file is unharmed if writing fails.
+    signals : sequence of Signal
+        Channels; the file states the seed and provenance of the first.
+
+    Raises
+    ------
+    FileError
+        As `write_wav`.
+    ValueError
+        If rates or lengths differ.
+    """
+    if len({(signal.sample_rate, len(signal.samples)) for signal in signals}) != 1:
+        raise ValueError("channels need one rate and one length")
+    samples = np.stack([get_finite_samples(signal, str(path)) for signal in signals], axis=1)
+    header = _encode_header(signals[0], len(samples), str(path), len(signals))
+    write_bytes(Path(path), header + samples.tobytes())
 
 
 def write_wav_stream(path: Path, template: Signal, sample_count: int, blocks: Iterable[NDArray[np.float32]]) -> None:
@@ -107,14 +131,15 @@ def encode_wav(signal: Signal, *, where: str = "WAV") -> bytes:
     return _encode_header(signal, len(samples), where) + samples.tobytes()
 
 
-def _encode_header(signal: Signal, count: int, where: str) -> bytes:
-    """Return the bytes of a WAV file before its `count` samples."""
-    rate, size = signal.sample_rate, 4 * count
+def _encode_header(signal: Signal, count: int, where: str, channels: int = 1) -> bytes:
+    """Return the bytes of a WAV file before its `count` samples per channel."""
+    rate, size = signal.sample_rate, 4 * count * channels
     if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= _MAX_UINT32 // 4):
         raise FileError(
             f"a WAV needs a whole sample rate, not {rate:g} Hz.", where=where, remedy="Synthesise at e.g. 8000 Hz."
         )
-    format_chunk = struct.pack("<HHIIHHH", _IEEE_FLOAT, 1, int(rate), int(rate) * 4, 4, 32, 0)
+    frame = 4 * channels
+    format_chunk = struct.pack("<HHIIHHH", _IEEE_FLOAT, channels, int(rate), int(rate) * frame, frame, 32, 0)
     chunks = _encode_chunk(b"fmt ", format_chunk) + _encode_chunk(b"fact", struct.pack("<I", min(count, _MAX_UINT32)))
     chunks += encode_info_chunk(signal)
     body = b"WAVE" + chunks + b"data" + struct.pack("<I", min(size, _MAX_UINT32))

@@ -14,18 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MaterialError
 from ..material.contact_model import Mechanics, with_defaults
-from ..material.probe import PROBES
+from ..material.probe import get_probe
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM
 from .carriers import Carriers
-from .linear_contact import (
-    FORCE_FLOOR_N,
-    SPEED_FLOOR_M_S,
-    Condition,
-    arc_gain,
-    compute_linear_contact,
-    encode_line_prior,
-    time_band_power,
-)
+from .contact.lattice_lines import encode_line_prior
+from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, arc_gain, compute_linear_contact, time_band_power
 
 Float = NDArray[np.float64]
 
@@ -36,10 +29,11 @@ TIME_SHARE_DB = -20.0
 differ."""
 REFERENCE_SPEED_M_S, REFERENCE_RESONANCE_HZ = 0.1, 150.0
 """Reference speed [m/s] and resonance [Hz]; inputs are log ratios to these."""
-PROBE_NAMES = tuple(PROBES)
+PROBE_KINDS = ("pen", "finger")
+"""Kinds of probe that F_Θ tells apart."""
 MECHANICS_COLUMN = TOKEN_DIM
 PROBE_COLUMN = MECHANICS_COLUMN + 6
-DIRECTION_COLUMN = PROBE_COLUMN + len(PROBE_NAMES)
+DIRECTION_COLUMN = PROBE_COLUMN + len(PROBE_KINDS)
 _ACTION_END = DIRECTION_COLUMN + 4
 _PHYSICS_SCALARS = 3
 
@@ -106,12 +100,13 @@ def build_inputs(
     """
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
     force = np.maximum(condition.force, FORCE_FLOOR_N)
+    probe = get_probe(condition.probe)
     columns = [
         normalise_tokens(
             rotate_to_stroke_frame(condition.tokens, condition.direction) if stroke_frame else condition.tokens
         ),
         np.array([encode_mechanics(m) for m in condition.mechanics])[condition.material],
-        np.tile([float(name == condition.probe) for name in PROBE_NAMES], (len(speed), 1)),
+        np.tile([float(name == probe.kind) for name in PROBE_KINDS], (len(speed), 1)),
         condition.direction if directed and not stroke_frame else np.zeros_like(condition.direction),
         np.log(speed / REFERENCE_SPEED_M_S)[:, None],
         np.log(force)[:, None],
@@ -124,7 +119,7 @@ def build_inputs(
         time_share = 10.0 ** (TIME_SHARE_DB / 10.0) if carriers.arc_count else 1.0
         linear = compute_linear_contact(condition, grid)
         time_power = time_band_power(linear.power, speed, grid)
-        bounce = PROBES[condition.probe].mass_kg * np.sqrt(linear.normal) / force
+        bounce = probe.mass_kg * np.sqrt(linear.normal) / force
         columns += [
             (log_amplitude(time_power) + 5.0) / 3.0,
             0.5 * log_amplitude(linear.power.sum(axis=1))[:, None],

@@ -23,16 +23,28 @@ from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ
 from ..kernel import compiled_field as kernel_field
-from ..kernel.compiled_field import CONTACT_COLUMNS, EmissionTables, Layers
+from ..kernel.compiled_field import CONTACT_COLUMNS, EmissionTables, Layers, ToneArrays
 from ..kernel.loader import load_kernel
 from ..material.contact_model import Mechanics
+from ..material.probe import get_probe
+from ..progress import add_work
 from ..threads import available_cpus, single_blas_thread
 from .carriers import Carriers
+from .contact.lattice_lines import (
+    HARMONIC_SHIFTS,
+    HARMONIC_START_LOG,
+    LINE_COUNT,
+    LINE_FLOOR_M_S2,
+    LINE_GAIN_COUNT,
+    compute_line_power,
+    gather_sidebands,
+    take_tones,
+)
 from .features import (
     AMPLITUDE_FLOOR_M_S2,
     DIRECTION_COLUMN,
     MECHANICS_COLUMN,
-    PROBE_NAMES,
+    PROBE_KINDS,
     REFERENCE_RESONANCE_HZ,
     REFERENCE_SPEED_M_S,
     TIME_SHARE_DB,
@@ -42,21 +54,19 @@ from .features import (
     motion_gate,
     token_normalisation,
 )
+from .force_noise import add_force_noise
 from .linear_contact import (
     FORCE_FLOOR_N,
-    HARMONIC_SHIFTS,
-    HARMONIC_START_LOG,
-    LINE_FLOOR_M_S2,
-    LINE_GAIN_COUNT,
     SPEED_FLOOR_M_S,
     Condition,
+    build_kernel_tables,
     compute_contact_columns,
-    compute_line_power,
+    fade_frequency,
     lateral_hand_impedance,
+    reduce_along,
     time_edges_in_arc_bands,
 )
 from .render_weights import render_weights
-from .surface_spectrum import build_kernel_tables
 from .training_ranges import TrainingRanges
 
 Float = NDArray[np.float64]
@@ -98,6 +108,9 @@ class FieldConfig:
     stroke_frame
         Give the network the token in the frame of the stroke instead of token and direction, see
         features.rotate_to_stroke_frame.
+    force_noise
+        Add friction's force noise and the response of the probe's body to the emission, see
+        linear_contact.add_force_noise. Fields of recordings have learned both.
 
     Raises
     ------
@@ -118,6 +131,7 @@ class FieldConfig:
     directed: bool = True
     line_gains: bool = False
     stroke_frame: bool = False
+    force_noise: bool = False
 
     def __post_init__(self) -> None:
         if self.accumulation != "past":
@@ -222,8 +236,8 @@ def is_same_field(first: Field, second: Field) -> bool:
 class Emission:
     """Output of F_Θ at n states of the hand.
 
-    alpha: (n, heads, K) amplitudes per carrier, 0 at rest and out of contact. sigma_dt: (n, N) ≥ 0, densities times Δt
-    of the N past states.
+    alpha: (n, heads, K + tones) amplitudes per carrier, 0 at rest and out of contact, then of the tones of the lines
+    that the condition names. sigma_dt: (n, N) ≥ 0, densities times Δt of the N past states.
     """
 
     alpha: Float
@@ -277,17 +291,32 @@ def evaluate(model: Field, condition: Condition, network: NetworkFn | NetworkOut
     Emission
         Amplitudes and densities, computed in float32 as in torch.
     """
+    emission, carriers = _evaluate_contact(model, condition, network), model.config.carriers
+    if not model.config.force_noise:
+        return emission
+    alpha = reduce_along(emission.alpha, condition, carriers)
+    return Emission(add_force_noise(alpha, condition, carriers), emission.sigma_dt)
+
+
+def _evaluate_contact(model: Field, condition: Condition, network: NetworkFn | NetworkOutput | None) -> Emission:
+    """Evaluate what F_Θ has learned, by the compiled kernel if it supports the field."""
     config, parameters, kernel = model.config, model.parameters, find_kernel(model)
     if network is None:
         network = get_network(model)
     if kernel is None:
         return _evaluate_numpy(model, condition, network if callable(network) else lambda _: network)
     emitter = get_emitter(config, parameters["skip"].tobytes(), condition.probe, LOG_AMPLITUDE_CEILING)
-    if callable(network):
-        alpha, sigma = evaluate_compiled(kernel, emitter, condition, network)
+    if callable(network) or _has_tones(config, condition):
+        run = network if callable(network) else lambda _: network
+        alpha, sigma = evaluate_compiled(kernel, emitter, condition, run)
     else:
         alpha, sigma = decode_outputs(kernel, emitter, condition, network[0]), network[1]
     return Emission(alpha[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
+
+
+def _has_tones(config: FieldConfig, condition: Condition) -> bool:
+    """Return True if the field gives the tones of the condition's lines apart from its carriers."""
+    return condition.lines is not None and config.line_gains
 
 
 Evaluator = Callable[[Field, Condition], Emission]
@@ -379,9 +408,17 @@ def initial_parameters(config: FieldConfig, seed: int) -> dict[str, NDArray[np.f
 def get_network(model: Field) -> NetworkFn:
     """Return the function inputs (n, D) → outputs of both heads, which runs F_Θ's layers in the kernel or in numpy."""
     kernel = find_kernel(model)
-    if kernel is None:
-        return partial(run_network, model.parameters, model.config.layers)
-    return partial(model.layers.evaluate, kernel)
+    run_layers = (
+        partial(run_network, model.parameters, model.config.layers)
+        if kernel is None
+        else partial(model.layers.evaluate, kernel)
+    )
+
+    def evaluate_layers(x: Float32) -> NetworkOutput:
+        add_work("states", len(x))
+        return run_layers(x)
+
+    return evaluate_layers
 
 
 BATCH_ROWS = 96
@@ -431,7 +468,16 @@ def _evaluate_numpy(model: Field, condition: Condition, network: NetworkFn) -> E
     alpha, gains = (
         (alpha[..., :-LINE_GAIN_COUNT], alpha[:, 0, -LINE_GAIN_COUNT:]) if config.line_gains else (alpha, None)
     )
-    prior, tones = np.split(inputs.prior, [config.carriers.count], axis=1)
+    prior, line_columns = np.split(inputs.prior, [config.carriers.count], axis=1)
+    tones, lines, arcs = None, condition.lines, config.carriers.arc_count
+    if lines is not None and gains is not None:
+        level, low = np.split(line_columns, [2 * LINE_COUNT], axis=1)
+        power = np.exp(2.0 * level).reshape(len(head), 2, LINE_COUNT)
+        tones = take_tones(gains, power, low.astype(np.intp), lines, arcs, LOG_AMPLITUDE_CEILING)
+        frequency = lines.compute_tone_wavenumbers() * np.maximum(condition.speed, SPEED_FLOOR_M_S)[:, None]
+        tones *= fade_frequency(frequency) * motion_gate(condition)[:, None]
+        with np.errstate(divide="ignore"):  # What is taken has no level.
+            line_columns = np.concatenate([0.5 * np.log(power.reshape(len(head), -1)), low], axis=1)
     expansion, first = config.expansion(), config.carriers.arc_slice.start
     if expansion is not None:
         alpha = np.concatenate([alpha[..., :first], alpha[..., first:] @ expansion.T], axis=-1)
@@ -440,9 +486,14 @@ def _evaluate_numpy(model: Field, condition: Condition, network: NetworkFn) -> E
     if config.emission == "log":
         alpha = np.exp(np.minimum(alpha, LOG_AMPLITUDE_CEILING))
     if gains is not None:
-        line_power = compute_line_power(gains, tones, config.carriers.arc_count, LOG_AMPLITUDE_CEILING)
+        line_power = compute_line_power(gains, line_columns, config.carriers.arc_count, LOG_AMPLITUDE_CEILING)
         alpha[:, 0, config.carriers.arc_slice] = np.sqrt(np.square(alpha[:, 0, config.carriers.arc_slice]) + line_power)
-    return Emission(alpha * inputs.gate[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
+    alpha *= inputs.gate[:, None, :]
+    if tones is not None and lines is not None:
+        scatter = _get_pitch_scatter(condition)
+        gather_sidebands(alpha[:, 0, config.carriers.arc_slice], tones, lines, scatter, config.carriers)
+        alpha = np.concatenate([alpha, tones[:, None, :]], axis=-1)
+    return Emission(alpha, np.logaddexp(0.0, sigma.astype(np.float64)))
 
 
 def find_kernel(model: Field) -> CDLL | None:
@@ -473,7 +524,21 @@ def evaluate_compiled(
     fixed = np.array([encode_fixed_inputs(mechanics, condition.probe) for mechanics in condition.mechanics])
     x, prior = kernel_field.compute_inputs(kernel, emitter, tokens, fixed[condition.material], motion, touch)
     head, sigma = network(x)
-    return kernel_field.decode_head(kernel, emitter, np.ascontiguousarray(head, dtype=np.float32), motion, prior), sigma
+    head, lines = np.ascontiguousarray(head, dtype=np.float32), condition.lines
+    if lines is None or not emitter.has_line_gains:
+        return kernel_field.decode_head(kernel, emitter, head, motion, prior), sigma
+    arrays = ToneArrays(
+        emitter, lines.column, lines.pitch_wavenumber, lines.wavenumber, _get_pitch_scatter(condition)
+    )  # fmt: skip
+    kernel_field.take_tones(kernel, emitter, head, motion, prior, arrays)
+    alpha = kernel_field.decode_head(kernel, emitter, head, motion, prior)
+    kernel_field.gather_sidebands(kernel, emitter, arrays, alpha)
+    return np.concatenate([alpha, arrays.tones], axis=1), sigma
+
+
+def _get_pitch_scatter(condition: Condition) -> Float:
+    """Return the scatter of pitch (n,) of the material of each state [m]."""
+    return np.array([properties.pitch_scatter_m or 0.0 for properties in condition.mechanics])[condition.material]
 
 
 def decode_outputs(kernel: CDLL, emitter: EmissionTables, condition: Condition, head: Float32) -> Float:
@@ -496,7 +561,7 @@ def get_emitter(config: FieldConfig, skip: bytes, probe: str, ceiling: float) ->
     position = np.linspace(0.0, knots - 1.0, carriers.arc_count)
     knot = np.minimum(position.astype(np.int64), max(knots - 2, 0))
     return EmissionTables(
-        build_kernel_tables(carriers, *lateral_hand_impedance(probe)), token_shift=shift, token_scale=scale,
+        build_kernel_tables(carriers, *lateral_hand_impedance(get_probe(probe))), token_shift=shift, token_scale=scale,
         time_edge=time_edges_in_arc_bands(carriers), skip=np.frombuffer(skip, dtype=np.float32).astype(np.float64),
         knot=knot, knot_share=position - knot, harmonic_shift=np.array(HARMONIC_SHIFTS),
         harmonic_start=np.array(HARMONIC_START_LOG), inputs=input_size(carriers, config.physics),
@@ -510,7 +575,8 @@ def get_emitter(config: FieldConfig, skip: bytes, probe: str, ceiling: float) ->
 
 def encode_fixed_inputs(mechanics: Mechanics, probe: str) -> tuple[float, ...]:
     """Return the network inputs that depend on mechanics and probe alone; they start at column MECHANICS_COLUMN."""
-    return (*encode_mechanics(mechanics), *(float(name == probe) for name in PROBE_NAMES))
+    kind = get_probe(probe).kind
+    return (*encode_mechanics(mechanics), *(float(name == kind) for name in PROBE_KINDS))
 
 
 def _state_columns(condition: Condition) -> tuple[Float, Float, Float]:

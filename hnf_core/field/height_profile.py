@@ -1,11 +1,12 @@
-"""Height profile under the path: the measured relief, which shares the power that F_Θ predicts with the noise.
+"""Height profile under the path: the measured relief, and the noise that F_Θ is left to add beside it.
 
-`build_stroke_profile` joins the tactile maps (height maps) of the surface patches to one profile along the path. F_Θ
-predicts the total power S(f; m, u), which already contains the surface's height. The profile, sent through the same
-linear contact, has the expected power S_p. Per arc band (a band of wavenumbers along the path) its amplitude is scaled
-by g, g² = min(1, S / S_p), and the noise carriers have max(S − g² S_p, 0) / S of their power left, so that the sum is S
-again. S_p is the profile's *stationary* power, measured without single events such as a seam, which would otherwise be
-taken for texture and made inaudible.
+`build_stroke_profile` joins the tactile maps (height maps) of the surface patches to one profile along the path, which
+`contact_motion` takes through the whole contact. F_Θ predicts the power of the complete surface, S(f; m, u), which
+already contains that relief. Per arc band (a band of wavenumbers along the path) the share of the linear contact's
+power that the profile explains is therefore taken from the noise: all of it where the profile is the surface, some
+where waves across the path tilt the tip too, none where the profile is not resolved. Friction's own force noise stays
+whole. The profile's power is its *stationary* power, measured without single events such as a seam, which would
+otherwise be taken for texture.
 """
 
 from __future__ import annotations
@@ -19,8 +20,14 @@ from numpy.typing import NDArray
 
 from ..errors import StrokeError
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_contact import SPEED_FLOOR_M_S, Condition, profile_band_power
-from .stroke import HeightProfile, interpolate_cubic
+from .linear_contact import (
+    SPEED_FLOOR_M_S,
+    Condition,
+    compute_linear_contact,
+    compute_relief_power,
+    time_band_power,
+)
+from .stroke import HeightProfile
 
 if TYPE_CHECKING:
     from ..scene.camera import Patch
@@ -36,100 +43,73 @@ _MAX_EVENTS = 0.15
 """Largest fraction of segments that may be events."""
 
 
-@dataclass(frozen=True)
-class ProfileBands:
-    """Height profile split into the arc bands (bands of wavenumber), for the octaves that it resolves.
+NEAR_BANDS, FAR_BANDS, FAR_WEIGHT = 4, 24, 1e-3
+"""Arc bands on either side over which powers are compared, and the weight of those farther than the first.
 
-    waves: per octave (24, m_o) float32 [m] on the octave's spatial grid. first: per octave the grid index of the first
-    sample. power: (Ka,) power per band without single events such as seams [m²].
-    """
-
-    waves: tuple[NDArray[np.float32], ...]
-    first: tuple[int, ...]
-    power: Float
-
-    def read_bands(self, octave: int, start: int, count: int) -> Float:
-        """Return an octave's bands (24, count) [m] at grid indices start, start + 1, …; 0 outside the profile."""
-        out = np.zeros((ARC_PER_OCTAVE, count))
-        if octave < len(self.waves):
-            wave, first = self.waves[octave], self.first[octave]
-            low, high = max(start, first), min(start + count, first + wave.shape[1])
-            if low < high:
-                out[:, low - start : high - start] = wave[:, low - first : high - first]
-        return out
+A tone lies between two of the token's bands and in one of the profile's; and where neither has power, at a tone's
+harmonics, the octave around them tells whether the profile holds the surface.
+"""
 
 
 @dataclass(frozen=True)
-class PowerShares:
-    """Factors that divide the power of F_Θ between the height profile and the noise carriers.
+class ExplainedPower:
+    """Shares of F_Θ's amplitudes that are left to noise beside a height profile: factors on the carriers.
 
-    profile: (n, Ka) factor g on the profile's band heights. arc: (n, Ka), time: (n, Kt) factors on the noise carriers'
-    amplitudes.
+    arc: (n, Ka), time: (n, Kt), on the power without friction's force noise.
     """
 
-    profile: Float
     arc: Float
     time: Float
 
 
-def split_profile(profile: HeightProfile, carriers: Carriers) -> ProfileBands:
-    """Split a profile into the arc bands (bands of wavenumber) by FFT, less the straight line through its ends."""
-    finest = 1.0 / max(profile.resolved_wavelength_m, 2.0 * profile.step_m)
-    edges = carriers.arc_edges()
+def compute_profile_power(profile: HeightProfile, carriers: Carriers) -> Float:
+    """Compute the height power (Ka,) of a profile per arc band [m²], without single events such as seams.
+
+    The straight line through its ends counts for nothing, and neither do waves that the profile does not resolve.
+    """
+    finest = find_finest(profile)
+    edges, power = carriers.arc_edges(), np.zeros(carriers.arc_count)
     octaves = int(np.sum(edges[:-1:ARC_PER_OCTAVE] < finest))
-    power = np.zeros(carriers.arc_count)
-    length = (len(profile.height) - 1) * profile.step_m
-    if octaves == 0 or len(profile.height) < 4:
-        return ProfileBands((), (), power)
-    step = carriers.arc_step_m(octaves - 1)
-    first = int(np.ceil(profile.origin_m / step))
-    positions = (
-        np.arange(first, int(np.floor((profile.origin_m + length) / step)) + 1) * step - profile.origin_m
-    ) / step
-    if len(positions) < 4:
-        return ProfileBands((), (), power)  # Shorter than four samples of the finest octave.
-    height = interpolate_cubic(np.asarray(profile.height, dtype=np.float64), positions * step / profile.step_m)
-    height = height - np.linspace(height[0], height[-1], len(height))
+    if octaves == 0 or (len(profile.height) - 1) * profile.step_m < 4.0 * carriers.arc_step_m(octaves - 1):
+        return power  # Shorter than four samples of the finest octave.
+    count = len(profile.height)
+    height = profile.height - np.linspace(profile.height[0], profile.height[-1], count)
     # Padding for the ringing of the narrowest band, so that one end does not wrap around to the other.
-    size = 1 << int(np.ceil(np.log2(len(height) + 0.02 / step)))
-    spectrum = np.fft.rfft(height, size)
-    kappa = np.fft.rfftfreq(size, step)
-    spectrum[kappa > finest] = 0.0
-    waves, firsts = [], []
+    size = 1 << int(np.ceil(np.log2(count + 0.02 / profile.step_m)))
+    kappa = np.fft.rfftfreq(size, profile.step_m)
+    spectrum = np.where(kappa <= finest, np.fft.rfft(height, size), 0.0)
+    # Without a window a tone would leak into the bands beside its own.
+    window = np.hanning(count)
+    tapered = np.where(kappa <= finest, np.fft.rfft(window * height, size), 0.0)
+    energy = np.square(np.abs(tapered)) * (2.0 / (size * np.square(window).sum()))
     for octave in range(octaves):
-        factor = 2 ** (octaves - 1 - octave)
-        band_edges = edges[octave * ARC_PER_OCTAVE : (octave + 1) * ARC_PER_OCTAVE + 1]
-        coarse = size // factor
-        # Grid points of this octave are every factor-th of the finest grid, and a phase shift aligns the two.
-        origin = -(-first // factor)
-        shift = np.exp(2j * np.pi * kappa * (origin * factor - first) * step)[: coarse // 2 + 1]
-        shifted = spectrum[: coarse // 2 + 1] * shift
-        borders = np.searchsorted(kappa[: coarse // 2 + 1], band_edges)
-        count = len(height) // factor
-        wave = np.empty((ARC_PER_OCTAVE, count), dtype=np.float32)
-        total, level, band_spectrum = np.zeros(count), np.empty(ARC_PER_OCTAVE), np.zeros_like(shifted)
-        for band in range(ARC_PER_OCTAVE):  # All bands at once would take a gigabyte for a minute of stroke.
-            bins = slice(borders[band], borders[band + 1])
-            band_spectrum[bins] = shifted[bins] / factor
-            band_wave = np.fft.irfft(band_spectrum, coarse)[:count]
-            band_spectrum[bins] = 0.0
-            wave[band] = band_wave
-            total += band_wave
-            level[band] = np.mean(np.square(band_wave)) if count else 0.0
-        waves.append(wave)
-        firsts.append(origin)
-        power[octave * ARC_PER_OCTAVE : (octave + 1) * ARC_PER_OCTAVE] = _stationary_power(total, level, band_edges)
-    return ProfileBands(tuple(waves), tuple(firsts), power)
+        bands = slice(octave * ARC_PER_OCTAVE, (octave + 1) * ARC_PER_OCTAVE)
+        band_edges = edges[bands.start : bands.stop + 1]
+        borders = np.searchsorted(kappa, band_edges)
+        inside = slice(int(borders[0]), int(borders[-1]))
+        if inside.start == inside.stop:
+            continue
+        cumulative = np.concatenate([[0.0], np.cumsum(energy[inside])])
+        level = np.diff(cumulative[borders - inside.start])
+        octave_spectrum = np.zeros_like(spectrum)
+        octave_spectrum[inside] = spectrum[inside]
+        wave = np.fft.irfft(octave_spectrum, size)[:count]
+        power[bands] = _stationary_power(wave, level, band_edges, profile.step_m)
+    return power
 
 
-def _stationary_power(total: Float, level: Float, band_edges: Float) -> Float:
+def find_finest(profile: HeightProfile) -> float:
+    """Return the largest wavenumber that a profile resolves [cycles/m]."""
+    return 1.0 / max(profile.resolved_wavelength_m, 2.0 * profile.step_m)
+
+
+def _stationary_power(total: Float, level: Float, band_edges: Float, step: float) -> Float:
     """Compute the mean power (24,) of an octave's bands over those parts of the profile without events such as seams.
 
-    total: (m,) height summed over the bands. level: (24,) their mean power with all events.
+    total: (m,) height summed over the bands, every `step` [m]. level: (24,) their mean power with all events.
     """
     if len(total) == 0:
         return level
-    step = 1.0 / (16.0 * band_edges[-1])
     segment = max(round(4.0 / float(band_edges[0]) / step), 1)
     segments = len(total) // segment
     is_stationary = np.ones(len(total))
@@ -152,43 +132,86 @@ def _stationary_power(total: Float, level: Float, band_edges: Float) -> Float:
     return np.asarray(2.0 * energy / size / np.square(mask).sum())
 
 
-def share_power(amplitude: Float, bands: ProfileBands, condition: Condition, carriers: Carriers) -> PowerShares:
-    """Divide the power that the field predicts between height profile and noise at each of n states.
+def explain_power(
+    profile_power: Float,
+    finest: float,
+    amplitude: Float,
+    noise: Float,
+    body: Float,
+    condition: Condition,
+    carriers: Carriers,
+) -> ExplainedPower:
+    """Find how much of F_Θ's amplitudes is left to noise beside a height profile, at each of n states.
 
-    amplitude: (n, K) of the carriers, as field.accumulate gives it.
+    Parameters
+    ----------
+    profile_power
+        (Ka,) height power of the profile per arc band [m²].
+    finest
+        Largest wavenumber that it resolves [cycles/m].
+    amplitude
+        (n, K) of the carriers, as field.accumulate gives it.
+    noise
+        (n, K) power of friction's force noise in it.
+    body
+        (n, K) power gain of the probe's body in it.
+    condition
+        The n states.
+    carriers
+        Carriers of the field.
     """
-    arc_amplitude, time_amplitude = amplitude[:, carriers.arc_slice], amplitude[:, carriers.time_slice]
-    speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
-    edges = carriers.arc_edges()
-    total = np.square(arc_amplitude)
-    if carriers.time_count:
-        # Power density of the time carriers at f = κ v, over the band's width in Hz.
-        time_edges = carriers.time_edges()
-        centres = speed[:, None] * carriers.arc_centres()
-        time_band = np.searchsorted(time_edges, centres, side="right") - 1
-        inside = (time_band >= 0) & (time_band < carriers.time_count)
-        density = np.square(time_amplitude) / np.diff(time_edges)
-        rows = np.arange(len(speed))[:, None]
-        time_density = np.where(inside, density[rows, np.clip(time_band, 0, carriers.time_count - 1)], 0.0)
-        total = total + time_density * speed[:, None] * np.diff(edges)
-    profile_power = profile_band_power(bands.power, condition, carriers)
-    has_profile = profile_power > 0.0
-    gain_square = np.divide(total, profile_power, out=np.ones_like(total), where=profile_power > total)
-    profile_part = np.minimum(gain_square * profile_power, total)
-    noise_part = 1.0 - np.divide(profile_part, total, out=np.zeros_like(total), where=total > 0.0)
-    time_part = np.ones_like(time_amplitude)
-    if carriers.time_count:
-        width_hz = np.where(inside, np.diff(edges) * speed[:, None], 0.0)
-        cell = rows * carriers.time_count + np.clip(time_band, 0, carriers.time_count - 1)
+    known = compute_relief_power(profile_power, condition, carriers)
+    expected = compute_linear_contact(condition, carriers).power
+    near, everything = _pool(known), _pool(expected)
+    explained = np.minimum(np.divide(near, everything, out=np.zeros_like(near), where=everything > LEAST_POWER), 1.0)
+    resolved = carriers.arc_centres() <= finest
+    explained[explained > HELD_SHARE] = 1.0
+    explained[:, ~resolved] = 0.0
+    arc, time = (np.square(amplitude[:, columns]) for columns in (carriers.arc_slice, carriers.time_slice))
+    arc_noise, time_noise = (
+        np.minimum(noise[:, columns], power)
+        for columns, power in ((carriers.arc_slice, arc), (carriers.time_slice, time))
+    )
+    # Hopping is the profile's; waves across the path only tilt the tip, as the linear contact says.
+    contact = np.where(resolved, np.minimum(arc - arc_noise, expected * body[:, carriers.arc_slice]), arc - arc_noise)
+    in_time = _sort_into_time_bands(explained, condition.speed, carriers)
+    return ExplainedPower(
+        _divide_amplitudes((1.0 - explained) * contact + arc_noise, arc),
+        _divide_amplitudes((1.0 - in_time) * (time - time_noise) + time_noise, time),
+    )
 
-        def sum_by_time_band(values: Float) -> Float:
-            """Sum values (n, Ka) of arc carriers in the time band that the frequency κ v of each is in, (n, Kt)."""
-            sums = np.bincount(cell.ravel(), weights=values.ravel(), minlength=time_part.size)
-            return np.asarray(sums, dtype=np.float64).reshape(time_part.shape)
 
-        covered = np.maximum(sum_by_time_band(width_hz), np.diff(time_edges))
-        time_part = 1.0 - sum_by_time_band(width_hz * (1.0 - noise_part)) / covered
-    return PowerShares(np.where(has_profile, np.sqrt(gain_square), 1.0), np.sqrt(noise_part), np.sqrt(time_part))
+def _divide_amplitudes(power: Float, whole: Float) -> Float:
+    """Return the amplitudes' ratio of two powers, 1 where the second vanishes."""
+    return np.asarray(np.sqrt(np.divide(power, whole, out=np.ones_like(whole), where=whole > LEAST_POWER)))
+
+
+HELD_SHARE = 0.9
+"""Share of the power from which on a profile is the surface: the rest is how the two spectra were measured."""
+LEAST_POWER = 1e-30
+"""Power below which there is nothing to share [(m/s²)²]."""
+
+
+def _pool(power: Float) -> Float:
+    """Sum powers (n, Ka) over the arc bands around each: NEAR_BANDS on either side, and a little of the octave."""
+    kernel = np.full(2 * FAR_BANDS + 1, FAR_WEIGHT)
+    kernel[FAR_BANDS - NEAR_BANDS : FAR_BANDS + NEAR_BANDS + 1] = 1.0
+    size = power.shape[1] + 2 * FAR_BANDS
+    spectrum = np.fft.rfft(power, size, axis=1) * np.fft.rfft(kernel, size)
+    pooled = np.fft.irfft(spectrum, size, axis=1)[:, FAR_BANDS : FAR_BANDS + power.shape[1]]
+    return np.asarray(np.maximum(pooled, 0.0))
+
+
+def _sort_into_time_bands(share: Float, speed: Float, carriers: Carriers) -> Float:
+    """Return the mean share (n, Kt) in each time band, of shares (n, Ka) of the arc bands at the frequencies κ v.
+
+    Where no arc band reaches, the share is 0.
+    """
+    width = np.diff(carriers.arc_edges())
+    hertz = np.maximum(speed, SPEED_FLOOR_M_S)[:, None]
+    covered = time_band_power(np.broadcast_to(width, share.shape) * hertz, speed, carriers)
+    taken = time_band_power(share * width * hertz, speed, carriers)
+    return np.asarray(np.minimum(taken / np.maximum(covered, np.diff(carriers.time_edges())), 1.0))
 
 
 OVERLAP_M = 1.5e-3

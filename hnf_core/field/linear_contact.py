@@ -1,112 +1,275 @@
 """Linear contact: the vibration of a steady stroke to first order, from the material token. Physical prior of F_Θ.
 
-The token holds the surface's height spectrum. Three axes add in power, as DFT321 combines them: the normal acceleration
-through contact_model.height_response; friction, which carries μ times the same force fluctuation sideways; and the load
-leaning on the slopes, F ∇h / m, more so against the motion, on a mass that the hand holds. With this input the network
-has only hopping, creep and saturation left to learn; from the bare token it would have to learn a shift of 200 bands
-with speed and direction, which a small ReLU net does badly.
+The token holds the surface's height spectrum P(κ, θ). A stroke is a line through it: a wave at angle δ to the stroke
+has the wavenumber κ |cos δ| along it, so the spectrum under the stroke is the sum over δ of radial spectra shifted
+along the log-κ axis. The tip filters the wave itself, at κ; hence that projection takes a weight per κ. Three axes add
+in power, as DFT321 combines them: the normal acceleration through contact_model.height_response; friction, which
+carries μ times the same force fluctuation sideways; and the load leaning on the slopes, F ∇h / m, more so against the
+motion, on a mass that the hand holds. With this input the network has only hopping, creep and saturation left to learn;
+from the bare token it would have to learn a shift of 200 bands with speed and direction, which a small ReLU net does
+badly.
 
 The tones of a lattice are separated from the noise around them. A weave, knurl or grating sounds at κ |cos δ| v. One
 smooth correction over log κ, which suits noise, cannot silence one tone and preserve its neighbour; a free value per
-arc carrier is learned from the few strokes whose tone falls on it. So each tone (two per token band, see
-surface_spectrum) and its second and third harmonic, which hopping and friction add to a pure wave, have an output of
-their own that moves with the tone.
+arc carrier is learned from the few strokes whose tone falls on it. So each tone (two per token band) and its second and
+third harmonic, which hopping and friction add to a pure wave, have an output of their own that moves with the tone.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel import compiled_field as kernel_contact
-from ..kernel.compiled_field import CONTACT_COLUMNS
+from ..kernel.compiled_field import CONTACT_COLUMNS, ContactTables
 from ..kernel.loader import load_kernel
 from ..material.contact_model import (
     Mechanics,
     contact_radius,
     contact_stiffness,
-    height_power,
     power_gain,
     resonance_hz,
     tip_gain,
-    tip_response,
     with_defaults,
 )
-from ..material.probe import PROBES
-from ..material.token import BAND_WAVELENGTHS_M
+from ..material.probe import Probe, get_probe
+from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, CLEAR_PEAK_SHARE
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .surface_spectrum import add_at, build_kernel_tables, compute_surface_spectrum, project_lines, project_noise
+from .contact.lattice_lines import (
+    LEAST_ACROSS,
+    LEAST_OFFSET_SCALE,
+    LINE_SHARES,
+    PathLines,
+    SpectralLines,
+    compute_line_shares,
+    compute_line_wavenumbers,
+    find_nearest_carriers,
+    split_bands,
+)
 
 Float = NDArray[np.float64]
 
-LINE_COUNT = 2 * len(BAND_WAVELENGTHS_M)
-HARMONICS = (1, 2, 3)
-HARMONIC_START_DB = (0.0, -25.0, -30.0)
-"""Initial level of each harmonic relative to the tone [dB]."""
-HARMONIC_SHIFTS = tuple(round(ARC_PER_OCTAVE * float(np.log2(harmonic))) for harmonic in HARMONICS)
-HARMONIC_START_LOG = tuple(level * np.log(10.0) / 20.0 for level in HARMONIC_START_DB)
-LINE_GAIN_COUNT = LINE_COUNT * len(HARMONICS)
-"""Outputs of the α head for tones: by harmonic, then by line."""
-LINE_FLOOR_M_S2 = 1e-5
+ANGLES = 24
+"""Wave-vector angles over 180° at which the angular density is sampled."""
+GRID_ANGLES = (np.arange(ANGLES) + 0.5) * np.pi / ANGLES
+MIN_NOISE_SHARE = 1e-9
+"""Smallest fraction of a band's power that counts as noise beside its tones.
+
+Below it is rounding, and spreading it over log κ would distinguish 1e-16 from 0 in the bands between.
+"""
+LINE_CONCENTRATION = 20.0
+"""Concentration of the angular density of strictly oriented waves: about ±10°."""
+ORIENTED_DENSITY_MEAN = np.mean(np.exp(LINE_CONCENTRATION * (np.cos(2.0 * GRID_ANGLES) - 1.0)))
 
 
 @dataclass(frozen=True)
-class SpectralLines:
-    """Tones of a regular surface (weave, knurl, grating) under n states of the hand.
+class SurfaceSpectrum:
+    """Height spectra of n surfaces, at angles δ to the stroke over each; `bands` are the token's octave bands.
 
-    power: (2, n, LINE_COUNT) acceleration power [(m/s²)²] in the two arc carriers (bands along the path) on either side
-    of each tone. low: (n, LINE_COUNT) index of the lower one, which may lie outside the carriers.
+    Attributes
+    ----------
+    noise
+        (n, Ka) height power of noise per arc band (a band of wavenumber |κ|) [m²].
+    density
+        (ANGLES, n, bands) angular density over δ, mean 1.
+    band
+        (Ka,) token band nearest to each κ.
+    line_power
+        (2, n, bands) power of the tones of a regular surface (weave, grating), along and across its axis [m²].
+    line_wavenumber
+        (n, bands) wavenumber of the tones [cycles/m].
+    line_cosine
+        (2, n, bands) |cos δ| of the angle δ between the tone's wave and the stroke.
     """
 
-    power: Float
-    low: NDArray[np.intp]
+    noise: Float
+    density: Float
+    band: NDArray[np.intp]
+    line_power: Float
+    line_wavenumber: Float
+    line_cosine: Float
 
 
-def encode_line_prior(lines: SpectralLines) -> Float:
-    """Return the tones as columns (n, 3 LINE_COUNT), which are appended to the prior of the network.
+def compute_surface_spectrum(
+    tokens: NDArray[np.float32] | Float, direction: Float, carriers: Carriers
+) -> SurfaceSpectrum:
+    """Compute the height spectra of tokens (n, TOKEN_DIM) in the frame of stroke directions (n, 2), unit vectors."""
+    feature = split_bands(tokens)
+    power = 10.0 ** (2.0 * feature["level"])
+    stroke_angle = np.arctan2(direction[:, 1], direction[:, 0])[:, None]
+    # Moments of the angular density in the frame of the stroke.
+    two = (feature["cos2"] + 1j * feature["sin2"]) * np.exp(-2j * stroke_angle)
+    four = (feature["cos4"] + 1j * feature["sin4"]) * np.exp(-4j * stroke_angle)
+    axis = 0.25 * np.angle(four)
+    # Waves run along `axis` and across it (a grating has one of them, a plain weave both).
+    along = np.clip(0.5 * (1.0 + np.real(two * np.exp(-2j * axis))), 0.0, 1.0)
+    tones = compute_line_shares(feature["peak"], along, np.abs(four))
+    position = np.log2(carriers.arc_centres() * BAND_WAVELENGTHS_M[0])
+    return SurfaceSpectrum(
+        noise=_spread_over_wavenumbers(power * noise_remainder(tones), position),
+        density=_angular_density(two, four, axis, along),
+        band=_nearest_band(position),
+        line_power=power * tones,
+        line_wavenumber=compute_line_wavenumbers(feature),
+        line_cosine=np.abs(np.stack([np.cos(axis), np.sin(axis)])),
+    )
 
-    Log amplitude in the lower and in the upper of the two carriers about each tone, then the index of the lower one.
+
+def noise_remainder(tones: Float) -> Float:
+    """Return the fraction (n, bands) of a band's power left for noise by its two tones' fractions (2, n, bands).
+
+    It is 0 below MIN_NOISE_SHARE, where only rounding is left.
     """
-    level = 0.5 * np.log(lines.power + LINE_FLOOR_M_S2**2)
-    return np.concatenate([level[0], level[1], lines.low.astype(np.float64)], axis=1)
+    rest = 1.0 - tones.sum(axis=0)
+    return np.where(rest < MIN_NOISE_SHARE, 0.0, np.minimum(rest, 1.0))
 
 
-def compute_line_power(gains: Float, columns: Float, count: int, ceiling: float) -> Float:
-    """Compute the power of the tones per arc carrier, (n, count).
+def project_spectrum(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) -> Float:
+    """Compute the power (n, Ka) per wavenumber along a straight cut through a surface, with waves weighted (n, Ka).
 
-    gains: (n, LINE_GAIN_COUNT) learned log gains of the tones and their harmonics. columns: (n, 3 LINE_COUNT) of
-    encode_line_prior. count: number of arc carriers. ceiling: largest log amplitude.
+    weight: (n, Ka) factor on the power of waves of wavenumber |κ|, before the projection.
     """
-    rows = np.broadcast_to(np.arange(len(gains))[:, None], (len(gains), LINE_COUNT))
-    low = columns[:, 2 * LINE_COUNT :].astype(np.intp)
-    out = np.zeros((len(gains), count))
-    for order, (shift, start) in enumerate(zip(HARMONIC_SHIFTS, HARMONIC_START_LOG, strict=True)):
-        gain = gains[:, order * LINE_COUNT : (order + 1) * LINE_COUNT] + start
-        for tap in range(2):
-            power = np.exp(2.0 * np.minimum(gain + columns[:, tap * LINE_COUNT : (tap + 1) * LINE_COUNT], ceiling))
-            index = low + (shift + tap)
-            inside = (index >= 0) & (index < count)
-            np.add.at(out, (rows[inside], index[inside]), power[inside])
-    return out
+    total = project_noise(spectrum, weight, carriers)
+    power, low = project_lines(spectrum, weight, carriers)
+    for tap in range(2):
+        add_at(total, low + tap, power[tap])
+    return total
 
 
+def project_noise(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) -> Float:
+    """Compute the noise power (..., n, Ka) per wavenumber along a straight cut through a surface, without its tones."""
+    # Wavenumbers come first, so that those beyond a shift are contiguous.
+    weighted = np.ascontiguousarray(np.moveaxis(spectrum.noise * weight, -1, -2))
+    out, shifted, count = np.zeros_like(weighted), np.empty_like(weighted), weighted.shape[-2]
+    # δ and 180° − δ shift a wave by the same amount, so their densities are added.
+    density = (spectrum.density[: ANGLES // 2] + spectrum.density[: ANGLES // 2 - 1 : -1]) / ANGLES
+    band_density = np.take(np.swapaxes(density, 1, 2), spectrum.band, axis=1)
+    for shift, weight_at in zip(_projection_shifts().tolist(), band_density, strict=True):
+        if shift < count:
+            np.multiply(weighted[..., shift:, :], weight_at[shift:], out=shifted[..., shift:, :])
+            out[..., : count - shift, :] += shifted[..., shift:, :]
+    return np.moveaxis(out, -1, -2)
+
+
+@lru_cache(maxsize=1)
+def _projection_shifts() -> NDArray[np.intp]:
+    """Return by how many arc bands (ANGLES / 2,) a wave at each angle to the stroke is lower along the stroke."""
+    return np.asarray(np.rint(-ARC_PER_OCTAVE * np.log2(np.cos(GRID_ANGLES[: ANGLES // 2]))), dtype=np.intp)
+
+
+@lru_cache(maxsize=8)
+def build_kernel_tables(carriers: Carriers, hand: float, hand_damping: float) -> ContactTables:
+    """Build the constants that compiled_field.compute_linear_contact needs.
+
+    hand: sideways stiffness of the hand over the probe's mass [rad²/s²]. hand_damping: 4 ζ² times that.
+    """
+    position, bands = np.log2(carriers.arc_centres() * BAND_WAVELENGTHS_M[0]), len(BAND_WAVELENGTHS_M)
+    below, angle = np.clip(np.floor(position).astype(int), 0, bands - 2), GRID_ANGLES[: ANGLES // 2]
+    return ContactTables(
+        features=BAND_FEATURES, kappa=carriers.arc_centres(), below=below, share=np.clip(position - below, 0.0, 1.0),
+        nearest_end=np.searchsorted(_nearest_band(position), np.arange(bands), side="right"),
+        shift=_projection_shifts(), wavelength=np.asarray(BAND_WAVELENGTHS_M, dtype=np.float64),
+        turn=np.stack([np.cos(2 * angle), np.sin(2 * angle), np.cos(4 * angle), np.sin(4 * angle)], axis=1),
+        line_share=np.array(LINE_SHARES), least_across=LEAST_ACROSS, clear_peak=CLEAR_PEAK_SHARE,
+        least_offset_scale=LEAST_OFFSET_SCALE,
+        per_octave=ARC_PER_OCTAVE, concentration=LINE_CONCENTRATION, bump_mean=float(ORIENTED_DENSITY_MEAN),
+        least_left=MIN_NOISE_SHARE, hand=hand, hand_damping=hand_damping,
+    )  # fmt: skip
+
+
+def _nearest_band(position: Float) -> NDArray[np.intp]:
+    """Return the index of the token's octave band nearest to each position, a fractional band index."""
+    return np.clip(np.rint(position).astype(np.intp), 0, len(BAND_WAVELENGTHS_M) - 1)
+
+
+def project_lines(spectrum: SurfaceSpectrum, weight: Float, carriers: Carriers) -> tuple[Float, NDArray[np.intp]]:
+    """Compute the power and place of the tones along a straight cut through a surface, without its noise.
+
+    Parameters
+    ----------
+    spectrum
+        Spectra of n rows.
+    weight
+        (..., n, Ka) factor on the power of waves of wavenumber |κ|.
+    carriers
+        Carriers, whose arc bands are used.
+
+    Returns
+    -------
+    power : ndarray
+        (2, ..., n, 2 · bands) power in the two arc bands about each tone, split so that their centroid is the tone;
+        first the tones along the surface's axis.
+    low : ndarray
+        (n, 2 · bands) index of the lower of the two bands, which may lie outside 0 … Ka − 1.
+    """
+    start, count = carriers.arc_centres()[0], carriers.arc_count
+    band = np.clip(np.rint(ARC_PER_OCTAVE * np.log2(spectrum.line_wavenumber / start)).astype(int), 0, count - 1)
+    line_weight = weight[..., np.arange(len(band))[:, None], band]
+    power = np.concatenate([tone_power * line_weight for tone_power in spectrum.line_power], axis=-1)
+    wavenumber = np.concatenate(list(spectrum.line_wavenumber * spectrum.line_cosine), axis=1)
+    position = ARC_PER_OCTAVE * np.log2(np.maximum(wavenumber, 1e-9) / start)
+    low = np.floor(position).astype(np.intp)
+    fraction = position - low
+    return np.stack([power * (1.0 - fraction), power * fraction]), low
+
+
+def add_at(out: Float, index: NDArray[np.intp], power: Float) -> None:
+    """Add power (n, m) to out (n, Ka) in the columns index (n, m), in place; columns outside are ignored."""
+    rows = np.broadcast_to(np.arange(len(out))[:, None], index.shape)
+    inside = (index >= 0) & (index < out.shape[1])
+    np.add.at(out, (rows[inside], index[inside]), power[inside])
+
+
+def _spread_over_wavenumbers(power: Float, position: Float) -> Float:
+    """Spread octave-band powers (n, bands) over arc bands (n, Ka), linearly between band centres on log–log axes."""
+    level = np.log(np.maximum(power, 1e-30) / ARC_PER_OCTAVE)
+    below = np.clip(np.floor(position).astype(int), 0, len(BAND_WAVELENGTHS_M) - 2)
+    fraction = np.clip(position - below, 0.0, 1.0)
+    return np.asarray(np.exp(level[:, below] * (1.0 - fraction) + level[:, below + 1] * fraction))
+
+
+def _angular_density(two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float) -> Float:
+    """Compute the distribution (ANGLES, n, bands) of a band's power over wave angles, positive, mean about 1.
+
+    A truncated Fourier series of the two- and four-fold moments, blended with narrow peaks along the axis and across
+    where the four-fold moment is large.
+    """
+    oriented = np.square(np.clip(np.abs(four), 0.0, 1.0))
+    angle = GRID_ANGLES[:, None, None]
+    # Fejér weights keep the truncated series positive.
+    series = 1.0 + 4.0 / 3.0 * _rotate_moment(two, 2.0 * angle) + 2.0 / 3.0 * _rotate_moment(four, 4.0 * angle)
+    facing = _rotate_moment(np.exp(2j * axis), 2.0 * angle)
+    line = along * _oriented_density(facing) + (1.0 - along) * _oriented_density(-facing)
+    return np.asarray(np.maximum((1.0 - oriented) * series + oriented * line, 0.0))
+
+
+def _rotate_moment(moment: NDArray[np.complex128], angle: Float) -> Float:
+    """Return Re(moment · e^{−i angle}) of complex direction moments."""
+    return np.asarray(moment.real * np.cos(angle) + moment.imag * np.sin(angle))
+
+
+def _oriented_density(facing: Float) -> Float:
+    """Return a peaked angular density with mean 1, from facing = cos 2δ of the angle δ to the peak."""
+    return np.asarray(np.exp(LINE_CONCENTRATION * (facing - 1.0)) / ORIENTED_DENSITY_MEAN)
+
+
+LEAST_POWER = 1e-30
+"""Power below which nothing vibrates [(m/s²)²]."""
 SPEED_FLOOR_M_S = 1e-3
 """Lowest speed of the inputs [m/s]; below it the emission falls linearly, so that v → 0 is defined and silent."""
 FORCE_FLOOR_N = 0.02
 BAND_END_HZ = 4800.0
 """Highest frequency of everything that follows the hand's speed [Hz]; the model rate holds 5 kHz."""
-HAND_STIFFNESS_N_M = 500.0
-HAND_DAMPING_RATIO = 0.4
-"""Lateral impedance of a hand that holds a tool (A. Z. Hajian & R. D. Howe 1997, J. Biomech. Eng. 119)."""
 ASPERITY_SHARE = 0.5
 """Radius of the spots that carry the load, relative to the Hertz radius (J. F. Archard 1957); the slopes act on
 them."""
-FLANK_FRICTION = 3.0
+FLANK_FRICTION = 2.0
 """Rise of friction per unit of slope against the motion under a sharp tip, times (1 − a/R)² for a contact of radius a.
 
-This and the three constants above are equal to the simulator's (checked by a test).
+This and the constant above are equal to the simulator's (checked by a test).
 """
 
 
@@ -130,6 +293,11 @@ class Condition:
         (n,) bool.
     probe
         Name of the probe.
+    along_share
+        (n,) share in power of the motion along the stroke that the amplitudes hold; None for all of it. The rest is
+        integrated over time (`stick_slip`).
+    lines
+        Lines whose tones F_Θ gives apart from its noise carriers; None leaves them in the carriers.
     """
 
     tokens: Float
@@ -140,11 +308,14 @@ class Condition:
     force: Float
     contact: NDArray[np.bool_]
     probe: str
+    along_share: Float | None = None
+    lines: PathLines | None = None
 
     def rows(self, rows: slice | NDArray[np.bool_]) -> Condition:
         """Return the condition of some of the states, with the mechanics of all materials."""
-        names = ("tokens", "material", "direction", "speed", "force", "contact")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        names = ("tokens", "material", "direction", "speed", "force", "contact", "along_share", "lines")
+        given = {name: getattr(self, name) for name in names}
+        return replace(self, **{name: values[rows] for name, values in given.items() if values is not None})
 
 
 @dataclass(frozen=True)
@@ -177,7 +348,11 @@ def arc_gain(wavenumber: Float, speed: Float) -> Float:
 
     wavenumber: (K,) [cycles/m]. speed: (n,) [m/s]. The gain is 1 between 8 Hz and 4 kHz.
     """
-    frequency = speed[:, None] * wavenumber[None, :]
+    return fade_frequency(speed[:, None] * wavenumber[None, :])
+
+
+def fade_frequency(frequency: Float) -> Float:
+    """Compute the gain of arc_gain at frequencies [Hz], of any shape."""
     return np.asarray(_smoothstep((frequency - 4.0) / 4.0) * upper_fade(frequency))
 
 
@@ -207,7 +382,7 @@ def compute_linear_contact(condition: Condition, carriers: Carriers) -> LinearCo
         return _linear_contact_numpy(condition, carriers, touch, resonance)
     tokens = np.ascontiguousarray(condition.tokens, dtype=np.float64)
     columns = np.stack([touch[name] for name in CONTACT_COLUMNS], axis=1)
-    tables = build_kernel_tables(carriers, *lateral_hand_impedance(condition.probe))
+    tables = build_kernel_tables(carriers, *lateral_hand_impedance(get_probe(condition.probe)))
     result = kernel_contact.compute_linear_contact(kernel, tables, tokens, columns)
     return LinearContact(result.power, result.normal, resonance, result.noise, SpectralLines(result.lines, result.low))
 
@@ -217,7 +392,7 @@ def compute_contact_columns(condition: Condition) -> tuple[dict[str, Float], Flo
 
     Parameters are contact radius, stiffness, damping, friction and others, all in SI units.
     """
-    probe, force = PROBES[condition.probe], np.maximum(condition.force, FORCE_FLOOR_N)
+    probe, force = get_probe(condition.probe), np.maximum(condition.force, FORCE_FLOOR_N)
     radius, stiffness, damping, friction, resonance = np.zeros((5, len(force)))
     for index, mechanics in enumerate(condition.mechanics):
         # One row per distinct load of a material would suffice, but rows are few.
@@ -241,10 +416,10 @@ def compute_contact_columns(condition: Condition) -> tuple[dict[str, Float], Flo
     }, resonance
 
 
-def lateral_hand_impedance(probe: str) -> tuple[float, float]:
+def lateral_hand_impedance(probe: Probe) -> tuple[float, float]:
     """Return the sideways stiffness and damping of the hand on the probe's mass, (k / m, 4 ζ² k / m) [rad²/s²]."""
-    stiffness = HAND_STIFFNESS_N_M / PROBES[probe].mass_kg
-    return stiffness, 4.0 * HAND_DAMPING_RATIO**2 * stiffness
+    stiffness = probe.hand_stiffness_n_m / probe.mass_kg
+    return stiffness, 4.0 * probe.hand_damping_ratio**2 * stiffness
 
 
 def _linear_contact_numpy(
@@ -257,7 +432,7 @@ def _linear_contact_numpy(
         touch[name][:, None] for name in CONTACT_COLUMNS[1:]
     )
     angular_square = np.square(2.0 * np.pi * kappa * speed)
-    hand_stiffness, hand_damping = lateral_hand_impedance(condition.probe)
+    hand_stiffness, hand_damping = lateral_hand_impedance(get_probe(condition.probe))
     lateral = np.square(angular_square) / (np.square(hand_stiffness - angular_square) + hand_damping * angular_square)
     fade = np.square(arc_gain(kappa, touch["speed"]))
     normal_gain, lateral_gain = (
@@ -285,21 +460,115 @@ def _linear_contact_numpy(
     return LinearContact(power, normal.sum(axis=1), resonance, noise, lines)
 
 
-def profile_band_power(height_spectrum: Float, condition: Condition, carriers: Carriers) -> Float:
-    """Compute the normal acceleration power (n, Ka) that a relief with a height power per arc band (Ka,) causes.
+def compute_axis_power(condition: Condition, carriers: Carriers) -> Float:
+    """Compute the power that the linear contact predicts along the stroke, across it and along the normal.
 
-    height_spectrum: (Ka,) [m²]. The result is in (m/s²)², 0 out of contact.
+    Parameters
+    ----------
+    condition
+        The n states; states out of contact are computed at the force floor.
+    carriers
+        Carriers, whose arc bands are used.
+
+    Returns
+    -------
+    ndarray
+        (3, n, Ka) acceleration power [(m/s²)²]; their sum is LinearContact.power.
     """
-    kappa, probe = carriers.arc_centres(), PROBES[condition.probe]
-    speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
-    power = np.zeros((len(speed), len(kappa)))
-    for index, mechanics in enumerate(condition.mechanics):
-        rows = np.flatnonzero((condition.material == index) & condition.contact & (condition.force > 0.0))
-        load = np.maximum(condition.force[rows], FORCE_FLOOR_N)[:, None]
-        tip = tip_response(kappa, mechanics, probe, load)
-        response = height_power(kappa * speed[rows, None], mechanics, probe, load)
-        power[rows] = height_spectrum * response * np.square(tip * arc_gain(kappa, speed[rows]))
-    return power
+    touch, _ = compute_contact_columns(condition)
+    kappa, wave_square = carriers.arc_centres(), np.square(2.0 * np.pi * carriers.arc_centres())
+    speed, radius, stiffness, damping, mass, load_square, rubbed, flank = (
+        touch[name][:, None] for name in CONTACT_COLUMNS[1:]
+    )
+    tip_power, spot_power = np.square(tip_gain(kappa, radius)), np.square(tip_gain(ASPERITY_SHARE * kappa, radius))
+    weights = np.stack([tip_power, spot_power * wave_square, spot_power])
+    spectrum = compute_surface_spectrum(condition.tokens, condition.direction, carriers)
+    projected = np.array(project_noise(spectrum, weights, carriers))
+    line_power, low = project_lines(spectrum, weights, carriers)
+    for kind, power in enumerate(np.moveaxis(line_power, 1, 0)):
+        for tap in range(2):
+            add_at(projected[kind], low + tap, power[tap])
+    height, slope, leaning = projected
+    angular_square = np.square(2.0 * np.pi * kappa * speed)
+    hand_stiffness, hand_damping = lateral_hand_impedance(get_probe(condition.probe))
+    lateral = np.square(angular_square) / (np.square(hand_stiffness - angular_square) + hand_damping * angular_square)
+    fade = np.square(arc_gain(kappa, touch["speed"]))
+    normal = height * power_gain(angular_square, stiffness, damping, mass) * fade
+    along = np.minimum(leaning * wave_square, slope)
+    tilt = lateral * load_square * fade
+    return np.stack(
+        [normal * (rubbed - 1.0) + (along + flank * leaning * wave_square) * tilt, (slope - along) * tilt, normal]
+    )
+
+
+def compute_relief_power(height_spectrum: Float, condition: Condition, carriers: Carriers) -> Float:
+    """Compute the power (n, Ka) that a relief under the path causes, of a height power per arc band (Ka,).
+
+    height_spectrum: (Ka,) [m²]. As LinearContact.power of a grating across the path, in (m/s²)²; 0 out of contact.
+    """
+    touch, _ = compute_contact_columns(condition)
+    kappa, wave_square = carriers.arc_centres(), np.square(2.0 * np.pi * carriers.arc_centres())
+    speed, radius, stiffness, damping, mass, load_square, rubbed, flank = (
+        touch[name][:, None] for name in CONTACT_COLUMNS[1:]
+    )
+    angular_square = np.square(2.0 * np.pi * kappa * speed)
+    hand_stiffness, hand_damping = lateral_hand_impedance(get_probe(condition.probe))
+    lateral = np.square(angular_square) / (np.square(hand_stiffness - angular_square) + hand_damping * angular_square)
+    normal = np.square(tip_gain(kappa, radius)) * power_gain(angular_square, stiffness, damping, mass) * rubbed
+    slope = np.square(tip_gain(ASPERITY_SHARE * kappa, radius)) * wave_square * (1.0 + flank) * lateral * load_square
+    touching = condition.contact & (condition.force > 0.0)
+    fade = np.square(arc_gain(kappa, touch["speed"])) * touching[:, None]
+    return np.asarray(height_spectrum * (normal + slope) * fade)
+
+
+def extend_to_tones(values: Float, condition: Condition, carriers: Carriers) -> Float:
+    """Append to values per carrier (n, K) those of the tones, of the nearest arc carrier: (n, K + tones)."""
+    if condition.lines is None:
+        return values
+    nearest = find_nearest_carriers(condition.lines.compute_tone_wavenumbers(), carriers)
+    return np.concatenate([values, np.take_along_axis(values[:, carriers.arc_slice], nearest, axis=1)], axis=1)
+
+
+def reduce_along(alpha: Float, condition: Condition, carriers: Carriers) -> Float:
+    """Reduce amplitudes (n, heads, K + tones) to `Condition.along_share` of the contact's power along the stroke.
+
+    The power is divided among the axes as the linear contact divides its own.
+    """
+    if condition.along_share is None:
+        return alpha
+    rows, out = condition.along_share < 1.0, alpha.copy()
+    if rows.any():
+        part = condition.rows(rows)
+        speed, power = np.maximum(part.speed, SPEED_FLOOR_M_S), compute_axis_power(part, carriers)
+        fraction = np.empty((len(speed), carriers.count))
+        along, total = power[0], power.sum(axis=0)
+        fraction[:, carriers.arc_slice] = along / np.maximum(total, LEAST_POWER)
+        along, total = (time_band_power(each, speed, carriers) for each in (along, total))
+        fraction[:, carriers.time_slice] = along / np.maximum(total, LEAST_POWER)
+        fraction = extend_to_tones(fraction, part, carriers)
+        out[rows] *= np.sqrt(1.0 - (1.0 - condition.along_share[rows, None]) * np.clip(fraction, 0.0, 1.0))[:, None, :]
+    return out
+
+
+SURFACE_PROBE_M_S = 0.16
+"""Speed at which all arc carriers lie between the fades of arc_gain [m/s]."""
+
+
+def compute_along_force(condition: Condition, carriers: Carriers) -> Float:
+    """Compute the power (n, Ka) per arc band of the force along the stroke that the relief's slopes cause [N²].
+
+    It is a function of place, not of speed: slopes under the load, and friction on flanks, without the inertia of the
+    normal axis.
+    """
+    fast = replace(condition, speed=np.full(len(condition.speed), SURFACE_PROBE_M_S))
+    along, _, normal = compute_axis_power(fast, carriers)
+    touch, _ = compute_contact_columns(fast)
+    angular_square = np.square(2.0 * np.pi * SURFACE_PROBE_M_S * carriers.arc_centres())
+    probe = get_probe(condition.probe)
+    stiffness, damping = lateral_hand_impedance(probe)
+    mobility = np.square(angular_square) / (np.square(stiffness - angular_square) + damping * angular_square)
+    along = along - (touch["rubbed"][:, None] - 1.0) * normal
+    return np.asarray(np.maximum(along, 0.0) * (probe.mass_kg**2 / mobility))
 
 
 def time_band_power(arc_power: Float, speed: Float, carriers: Carriers) -> Float:

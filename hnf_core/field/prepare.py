@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..action.action import Action
-from ..material.contact_model import tip_response
-from ..material.probe import PROBES
+from ..action.action import ACTION_RATE_HZ, Action
+from ..material.probe import get_probe
 from .adaptive_sampling import (
     EvaluateAt,
     SampledEmission,
@@ -26,7 +25,11 @@ from .adaptive_sampling import (
     sample_adaptively,
 )
 from .carriers import MODEL_RATE_HZ, Carriers
-from .contact_filter import FilterBank, build_filter_bank
+from .contact.contact_filter import FilterBank, build_filter_bank
+from .contact.contact_motion import render_motion
+from .contact.lattice_lines import HARMONICS, Lines
+from .contact.stick_slip import SlipResponse, StickSlip, may_stick
+from .contact.taps import TapRenderer, TapResponse
 from .field import (
     BATCH_STATES,
     Emission,
@@ -38,8 +41,9 @@ from .field import (
     evaluate_batched,
     find_kernel,
 )
-from .height_profile import ProfileBands, share_power, split_profile
-from .linear_contact import BAND_END_HZ, FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
+from .force_noise import compute_force_noise_power
+from .height_profile import compute_profile_power, explain_power, find_finest
+from .linear_contact import BAND_END_HZ, Condition
 from .noise_cache import HOP_SIZE
 from .stroke import (
     SAMPLES_PER_STATE,
@@ -50,6 +54,7 @@ from .stroke import (
     resample_action,
     sample_count,
 )
+from .tones import LineCourse, follow_lines
 
 Float = NDArray[np.float64]
 
@@ -119,6 +124,38 @@ In numpy results depend on how many states are evaluated at once, so this is par
 
 
 @dataclass(frozen=True)
+class StrokeCourse:
+    """Parts of a stroke that follow from its whole past, so that no piece of it tells them.
+
+    Attributes
+    ----------
+    taps
+        Responses of the whole contact to fast changes of force.
+    slips
+        Acceleration along the stroke where the tip sticks and slips.
+    along_share
+        (n,) share of the motion along the stroke in amplitude that is left to F_Θ, see Condition; None for all of it.
+    lines
+        Wavenumbers and phases of the lines of regular surfaces; None if no material has any.
+    """
+
+    taps: tuple[TapResponse, ...] = ()
+    slips: tuple[SlipResponse, ...] = ()
+    along_share: Float | None = None
+    lines: LineCourse | None = None
+
+    @property
+    def token_lines(self) -> Lines | None:
+        """Lines of the stroke's materials, None if there are none."""
+        return None if self.lines is None else self.lines.lines
+
+    @property
+    def tone_count(self) -> int:
+        """Number of tones, which the columns of the carriers are followed by."""
+        return 0 if self.lines is None else self.lines.tone_count
+
+
+@dataclass(frozen=True)
 class PreparedStroke:
     """Stroke with F_Θ evaluated: everything needed to render any block of its samples.
 
@@ -130,18 +167,21 @@ class PreparedStroke:
         (n,) pressing force [N] at the 200 Hz states.
     audible
         (count,) gain 0 … 1, zero far from contact.
-    profile_amplitude
-        (n, Ka) factor on each band of the height profile.
+    motion
+        (count,) motion of the probe over the height profile, in place of the linear contact [m/s²], or the whole signal
+        of a raw action; None without either.
     loudest
         The field's largest amplitude in each chunk of states [m/s²].
-    unbridged
-        profile_amplitude as it was before bridge_rest_gaps().
     knots
         (m,) 10 kHz samples at which amplitude is given; None if it is at each of the n states.
     residual_power
         Error power of interpolating between knots, relative to the signal's power, see SampledEmission.
     origin
         Sample of the carriers' clock at which this begins, if it is a chunk of a longer stroke.
+    course
+        What follows from the stroke's whole past: taps, stick–slip and the phase of lines.
+    tone_amplitude
+        (m, L · harmonics) RMS of the tones of regular surfaces, at the same knots as amplitude [m/s²]; None for none.
     """
 
     carriers: Carriers
@@ -151,13 +191,13 @@ class PreparedStroke:
     bank: FilterBank
     force: Float
     audible: Float
-    bands: ProfileBands | None = None
-    profile_amplitude: Float | None = None
+    motion: Float | None = None
     loudest: Float = field(default_factory=lambda: np.zeros(0))
-    unbridged: Float | None = None
     knots: NDArray[np.int64] | None = None
     residual_power: float = 0.0
     origin: int = 0
+    course: StrokeCourse = field(default_factory=lambda: StrokeCourse())
+    tone_amplitude: Float | None = None
 
     @property
     def count(self) -> int:
@@ -173,6 +213,7 @@ def prepare_stroke(
     earlier: PreparedStroke | None = None,
     tolerance: float | None = None,
     evaluator: Evaluator = evaluate,
+    course: StrokeCourse | None = None,
 ) -> PreparedStroke:
     """Evaluate F_Θ for a stroke and prepare it for rendering.
 
@@ -193,6 +234,8 @@ def prepare_stroke(
         accumulates over heads.
     evaluator
         Function that evaluates the field at n states, in place of field.evaluate.
+    course
+        What follows from the stroke's whole past, if it is known already.
 
     Returns
     -------
@@ -205,57 +248,161 @@ def prepare_stroke(
         If the action has no duration.
     """
     action, token_index = resample_action(stroke)
+    if reads_raw_action(field, stroke):
+        return _prepare_raw(field, stroke, seed, action, token_index, evaluator)
+    if course is None:
+        course = follow_stroke(field, stroke, action, token_index, seed)
     if tolerance is not None and supports_tolerance(field, stroke):
-        evaluate_at = make_evaluate_at(field, stroke, action, token_index, evaluator)
+        evaluate_at = make_evaluate_at(field, stroke, action, token_index, evaluator, course)
         breakpoints = find_breakpoints(action, token_index)
         sampled = sample_adaptively(evaluate_at, sample_count(action), tolerance, breakpoints)
-        return prepare_sampled(field, stroke, seed, action, token_index, sampled)
-    condition = build_condition(stroke, action, token_index)
+        return prepare_sampled(field, stroke, seed, action, token_index, sampled, course)
+    condition = build_condition(stroke, action, token_index, course.along_share, course.token_lines)
     carriers, count = field.config.carriers, len(action.speed)
-    bands = None
-    if stroke.profile is not None and carriers.arc_count:
-        bands = split_profile(stroke.profile, carriers) if earlier is None else earlier.bands
+    columns = carriers.count + course.tone_count
+    profile = stroke.profile if carriers.arc_count and has_relief(stroke) else None
+    profile_power = None if profile is None else compute_profile_power(profile, carriers)
     frequency = arc_band_frequency(action, carriers)
-    if earlier is None:
-        amplitude = np.empty((count, field.config.alpha_heads, carriers.count))
-        unbridged = None if bands is None else np.empty((count, carriers.arc_count))
-        loudest = np.empty(-(-count // CHUNK_STATES))
-    else:
-        amplitude, loudest = earlier.amplitude.copy(), earlier.loudest.copy()
-        unbridged = None if earlier.unbridged is None else earlier.unbridged.copy()
+    amplitude, loudest = np.empty((count, field.config.alpha_heads, columns)), np.empty(-(-count // CHUNK_STATES))
+    if earlier is not None:
+        amplitude[:, :, : carriers.count], loudest[:] = earlier.amplitude, earlier.loudest
+        if earlier.tone_amplitude is not None:
+            amplitude[:, 0, carriers.count :] = earlier.tone_amplitude
     cache = None
     if earlier is None and find_kernel(field) is not None:  # Results do not depend on the number of states in a batch.
-        cache = _EmissionCache(field, condition, evaluator)
+        cache = _EmissionCache(field, condition, evaluator, columns)
     for chunk, (rows, with_memory) in enumerate(iterate_state_chunks(field, count)):
-        if earlier is not None and not _inputs_differ(action, earlier.action, with_memory):
+        if earlier is not None and not (
+            _inputs_differ(action, earlier.action, with_memory)
+            or _shares_differ(course.along_share, earlier.course.along_share, with_memory)
+        ):
             continue
         if has_no_contact(condition, with_memory):
             amplitude[rows], loudest[chunk] = 0.0, 0.0
-            if unbridged is not None:
-                unbridged[rows] = 0.0
             continue
         if cache is not None:
             emission = cache.rows(with_memory)
         else:
             emission = evaluate_batched(field, condition.rows(with_memory), evaluator)
-        amplitude[rows], height, loudest[chunk] = _compute_amplitudes(
-            field, condition, emission, bands, frequency[rows], rows
-        )
-        if unbridged is not None and height is not None:
-            unbridged[rows] = height
-    profile_amplitude = None
-    if unbridged is not None:
-        sliding = condition.contact & (condition.force > FORCE_FLOOR_N) & (condition.speed > SPEED_FLOOR_M_S)
-        profile_amplitude = bridge_rest_gaps(unbridged, sliding) * upper_fade(frequency)
+        amplitude[rows], loudest[chunk] = _compute_amplitudes(field, condition, emission, frequency[rows], rows)
+        if profile is not None and profile_power is not None:
+            _leave_explained_power(field, condition.rows(rows), profile_power, find_finest(profile), amplitude[rows])
+    tone_amplitude = None
+    if course.lines is not None:
+        amplitude, tone_amplitude = amplitude[:, :, : carriers.count].copy(), amplitude[:, 0, carriers.count :].copy()
+        course.lines.silence_others(tone_amplitude, SAMPLES_PER_STATE * np.arange(count), find_peak_speed(action))
+        if profile is not None:
+            # The harmonics of a line that the profile holds are in its motion, also those that it does not resolve.
+            held = np.repeat(course.lines.wavenumber <= find_finest(profile), len(HARMONICS), axis=1)
+            tone_amplitude *= ~held
     pressed = np.where(action.contact, action.force, 0.0)
     if earlier is not None and np.array_equal(action.contact, earlier.action.contact):
         audible = earlier.audible
     else:
         audible = compute_audible_gain(action.contact, sample_count(action))
     bank = build_filter_bank(stroke.mechanics, token_index, pressed, action.probe)
+    motion = None if profile is None else render_motion(stroke, action, token_index, carriers)
     return PreparedStroke(
-        carriers, seed, action, amplitude, bank, pressed, audible, bands, profile_amplitude, loudest, unbridged
+        carriers, seed, action, amplitude, bank, pressed, audible, motion, loudest, course=course,
+        tone_amplitude=tone_amplitude,
+    )  # fmt: skip
+
+
+def reads_raw_action(field: Field, stroke: StrokeInput) -> bool:
+    """Return True if a field of the published form is given an action finer than the states, which it reads as it is.
+
+    Each sample of its signal is a function of the action at that moment alone, so that nothing above 20 Hz is felt
+    where the action has none.
+    """
+    carriers = field.config.carriers
+    is_literal = carriers.constant and carriers.count == 1 and field.config.accumulation == "heads"
+    return is_literal and stroke.action.rate > ACTION_RATE_HZ
+
+
+RAW_PIECE = 10_000
+"""Samples of a raw action at which F_Θ is evaluated in one go, which bounds the memory of its inputs."""
+LOW_PASS_HZ = (1000.0, 1100.0)
+"""Band in which the low-pass of the published form falls from 1 to 0: its loss hears nothing above 1 kHz."""
+
+
+def _prepare_raw(
+    field: Field, stroke: StrokeInput, seed: int, action: Action, token_index: NDArray[np.int32], evaluator: Evaluator
+) -> PreparedStroke:
+    """Prepare a stroke of the published form from its own raw action: F_Θ at every sample, and nothing added."""
+    samples = np.empty(sample_count(action))
+    for start in range(0, len(samples), RAW_PIECE):
+        rows = slice(start, min(start + RAW_PIECE, len(samples)))
+        condition = interpolate_condition(stroke, stroke.action, stroke.token_index, np.arange(rows.start, rows.stop))
+        emission = evaluate_batched(field, condition, evaluator)
+        samples[rows] = accumulate(field.config, emission)[:, :, 0].sum(axis=1)
+    low, high = LOW_PASS_HZ
+    frequency = np.fft.rfftfreq(len(samples), 1.0 / MODEL_RATE_HZ)
+    gain = np.clip((high - frequency) / (high - low), 0.0, 1.0)
+    motion = np.fft.irfft(gain * np.fft.rfft(samples), len(samples))
+    pressed = np.where(action.contact, action.force, 0.0)
+    return PreparedStroke(
+        field.config.carriers, seed, action, np.zeros((len(action.speed), 1, 1)),
+        build_filter_bank(stroke.mechanics, token_index, pressed, action.probe), pressed,
+        compute_audible_gain(action.contact, len(samples)), motion, np.abs(samples).max(keepdims=True, initial=0.0),
+    )  # fmt: skip
+
+
+def follow_stroke(
+    field: Field, stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], seed: int
+) -> StrokeCourse:
+    """Find what of a stroke follows from its whole past. action, token_index: from resample_action."""
+    stick_slip = make_stick_slip(field, stroke, action, token_index, seed)
+    taps = make_tap_renderer(field, stroke, action, token_index)
+    lines = make_line_course(field, stroke, action, token_index, seed)
+    return StrokeCourse(
+        () if taps is None else taps.render(),
+        () if stick_slip is None else stick_slip.render(),
+        None if stick_slip is None else stick_slip.motion.along_share,
+        lines,
     )
+
+
+def make_tap_renderer(
+    field: Field, stroke: StrokeInput, action: Action, token_index: NDArray[np.int32]
+) -> TapRenderer | None:
+    """Make the renderer of a stroke's taps; None over a measured relief, whose motion has them already."""
+    if has_relief(stroke) and field.config.carriers.arc_count:
+        return None
+    pressed = np.where(action.contact, action.force, 0.0)
+    return TapRenderer(stroke.mechanics, token_index, pressed, action.probe, action.force_curve)
+
+
+def has_relief(stroke: StrokeInput) -> bool:
+    """Return True if a stroke has a height profile of two samples or more."""
+    return stroke.profile is not None and len(stroke.profile.height) > 1
+
+
+def make_line_course(
+    field: Field, stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], seed: int
+) -> LineCourse | None:
+    """Find the lines of a stroke's materials along its path; None if there are none, or the field has none.
+
+    Over a measured relief a fingertip has none either: the relief is drawn as it is, and what its ridges catch on is
+    noise.
+    """
+    if not field.config.line_gains or (has_relief(stroke) and get_probe(action.probe).pad is not None):
+        return None
+    return follow_lines(stroke.tokens, stroke.mechanics, action, token_index, seed)
+
+
+def make_stick_slip(
+    field: Field, stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], seed: int
+) -> StickSlip | None:
+    """Make the integrator of a stroke's stick–slip; None if it has none, or the field has learned it from recordings.
+
+    action, token_index: from resample_action.
+    """
+    config = field.config
+    # Over a measured relief friction is part of the motion that is integrated.
+    if has_relief(stroke) or not config.force_noise or not config.carriers.arc_count or not may_stick(action):
+        return None
+    stick_slip = StickSlip(build_condition(stroke, action, token_index), action.position, config.carriers, seed)
+    return stick_slip if stick_slip.motion.spans else None
 
 
 def iterate_state_chunks(field: Field, count: int) -> Iterator[tuple[slice, slice]]:
@@ -272,13 +419,13 @@ class _EmissionCache:
     uses.
     """
 
-    def __init__(self, field: Field, condition: Condition, evaluator: Evaluator) -> None:
-        self._field, self._condition, self._evaluator = field, condition, evaluator
+    def __init__(self, field: Field, condition: Condition, evaluator: Evaluator, columns: int) -> None:
+        self._field, self._condition, self._evaluator, self._columns = field, condition, evaluator, columns
         self._used = np.zeros(len(condition.speed), dtype=bool)
         for _, with_memory in iterate_state_chunks(field, len(self._used)):
             self._used[with_memory] |= not has_no_contact(condition, with_memory)
         self._begin = self._end = 0
-        self._emission = _zero_emission(field, 0)
+        self._emission = _zero_emission(field, 0, columns)
 
     def rows(self, states: slice) -> Emission:
         """Return the field's output at some states; evaluate missing ones, and forget all before them."""
@@ -295,14 +442,14 @@ class _EmissionCache:
         condition = self._condition.rows(rows)
         if used.all():
             return evaluate_batched(self._field, condition, self._evaluator)
-        emission = _zero_emission(self._field, len(used))
+        emission = _zero_emission(self._field, len(used), self._columns)
         emission.assign(used, evaluate_batched(self._field, condition.rows(used), self._evaluator))
         return emission
 
 
-def _zero_emission(field: Field, count: int) -> Emission:
+def _zero_emission(field: Field, count: int, columns: int) -> Emission:
     config = field.config
-    return Emission(np.zeros((count, config.alpha_heads, config.carriers.count)), np.zeros((count, config.states)))
+    return Emission(np.zeros((count, config.alpha_heads, columns)), np.zeros((count, config.states)))
 
 
 def has_no_contact(condition: Condition, states: slice) -> bool:
@@ -326,10 +473,11 @@ def prepare_sampled(
     action: Action,
     token_index: NDArray[np.int32],
     sampled: SampledEmission,
+    course: StrokeCourse,
 ) -> PreparedStroke:
     """Prepare a stroke from the field's outputs at chosen samples, linearly interpolated between them.
 
-    action and token_index are those of stroke.resample_action.
+    action and token_index are those of stroke.resample_action. course: of the stroke.
     """
     carriers, count = field.config.carriers, sample_count(action)
     knots, amplitude = accumulate_samples(field.config, sampled, count)
@@ -338,12 +486,18 @@ def prepare_sampled(
         fastest = np.maximum(speed[state], speed[np.minimum(state + 1, len(speed) - 1)])
         fast = np.flatnonzero(fastest * carriers.arc_centres()[-1] >= BAND_END_HZ)
         amplitude[fast, carriers.arc_slice] *= fastest[fast, None] * carriers.arc_centres() < BAND_END_HZ
+    tone_amplitude = None
+    if course.lines is not None:
+        amplitude, tones = np.split(amplitude, [carriers.count], axis=1)
+        amplitude, tone_amplitude = amplitude.copy(), tones.astype(np.float64)
+        course.lines.silence_others(tone_amplitude, knots, find_peak_speed(action))
     pressed = np.where(action.contact, action.force, 0.0)
     bank = build_filter_bank(stroke.mechanics, token_index, pressed, action.probe)
     loudest = np.array([np.max(sampled.alpha, initial=0.0)], dtype=np.float64)
     return PreparedStroke(
         carriers, seed, action, amplitude[:, None, :], bank, pressed, compute_audible_gain(action.contact, count),
-        loudest=loudest, knots=knots, residual_power=sampled.residual_power,
+        loudest=loudest, knots=knots, residual_power=sampled.residual_power, course=course,
+        tone_amplitude=tone_amplitude,
     )  # fmt: skip
 
 
@@ -353,20 +507,24 @@ def make_evaluate_at(
     action: Action,
     token_index: NDArray[np.int32],
     evaluator: Evaluator = evaluate,
+    course: StrokeCourse | None = None,
 ) -> EvaluateAt:
     """Return a function (10 kHz samples of a stroke) → F_Θ's output there.
 
     Samples that neither are in contact nor reach one by past states or interpolation get 0 and are not evaluated.
     """
+    course = StrokeCourse() if course is None else course
+    share, lines, columns = course.along_share, course.token_lines, field.config.carriers.count + course.tone_count
     near_contact = _reaches_contact(action.contact, count_memory_states(field))
 
     def evaluate_at(at: Samples) -> Emission:
         rows = near_contact[np.minimum(at // SAMPLES_PER_STATE, len(near_contact) - 1)]
         if rows.all():
-            return evaluate_batched(field, interpolate_condition(stroke, action, token_index, at), evaluator)
-        emission = _zero_emission(field, len(at))
+            condition = interpolate_condition(stroke, action, token_index, at, share, lines)
+            return evaluate_batched(field, condition, evaluator)
+        emission = _zero_emission(field, len(at), columns)
         if rows.any():
-            condition = interpolate_condition(stroke, action, token_index, at[rows])
+            condition = interpolate_condition(stroke, action, token_index, at[rows], share, lines)
             emission.assign(rows, evaluate_batched(field, condition, evaluator))
         return emission
 
@@ -388,26 +546,39 @@ def _inputs_differ(action: Action, other: Action, rows: slice) -> bool:
     )
 
 
-def _compute_amplitudes(
-    field: Field, condition: Condition, emission: Emission, bands: ProfileBands | None, frequency: Float, rows: slice
-) -> tuple[Float, Float | None, float]:
-    """Return a chunk's noise amplitudes (m, heads, K), profile factors (m, Ka), and the largest amplitude.
+def _shares_differ(new: Float | None, old: Float | None, rows: slice) -> bool:
+    if new is None or old is None:
+        return new is not old
+    return not np.array_equal(new[rows], old[rows])
 
-    emission: the field's output at the chunk and the past states it depends on. bands: height profile, None for none.
-    frequency: (m, Ka) of the arc bands, κ · speed [Hz]. rows: the chunk's m states.
+
+def _compute_amplitudes(
+    field: Field, condition: Condition, emission: Emission, frequency: Float, rows: slice
+) -> tuple[Float, float]:
+    """Return a chunk's noise amplitudes (m, heads, K), and the largest of them.
+
+    emission: the field's output at the chunk and the past states it depends on. frequency: (m, Ka) of the arc bands,
+    κ · speed [Hz]. rows: the chunk's m states.
     """
     carriers = field.config.carriers
     amplitude = accumulate(field.config, emission, len(emission.alpha) - (rows.stop - rows.start))
     loudest = float(np.max(np.abs(amplitude), initial=0.0))
     # The field's gate depends on the speed of each state, but past states are read at the present speed.
     amplitude[:, :, carriers.arc_slice] *= (frequency < BAND_END_HZ)[:, None, :]
-    if bands is None:
-        return amplitude, None, loudest
-    part = condition.rows(rows)
-    shares = share_power(amplitude[:, 0], bands, part, carriers)
-    amplitude[:, :, carriers.arc_slice] *= shares.arc[:, None, :]
-    amplitude[:, :, carriers.time_slice] *= shares.time[:, None, :]
-    return amplitude, shares.profile * _tip_gain(part, carriers), loudest
+    return amplitude, loudest
+
+
+def _leave_explained_power(
+    field: Field, condition: Condition, profile_power: Float, finest: float, amplitude: Float
+) -> None:
+    """Take from the noise amplitudes (m, heads, K), in place, what a height profile explains; see explain_power."""
+    carriers = field.config.carriers
+    noise, body = np.zeros((len(amplitude), carriers.count)), np.ones((len(amplitude), carriers.count))
+    if field.config.force_noise:
+        noise, body = compute_force_noise_power(condition, carriers)
+    left = explain_power(profile_power, finest, amplitude[:, 0, : carriers.count], noise, body, condition, carriers)
+    amplitude[:, :, carriers.arc_slice] *= left.arc[:, None, :]
+    amplitude[:, :, carriers.time_slice] *= left.time[:, None, :]
 
 
 def count_memory_states(field: Field) -> int:
@@ -422,31 +593,3 @@ def arc_band_frequency(action: Action, carriers: Carriers) -> Float:
     Bands above BAND_END_HZ are silenced: they would alias, and a jump of the hand would draw metres of noise.
     """
     return np.asarray(find_peak_speed(action)[:, None] * carriers.arc_centres())
-
-
-def bridge_rest_gaps(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:
-    """Replace the profile amplitudes (n, Ka) of resting states by interpolation between sliding neighbours.
-
-    sliding: (n,). At rest and before the touch the height under the hand is constant and must give nothing. Fading it
-    in or out there would lift the hand by the height itself within milliseconds, which would be a blow.
-    """
-    rows = np.flatnonzero(sliding)
-    if len(rows) == 0:
-        return np.zeros_like(amplitude)
-    gaps = np.flatnonzero(~sliding)
-    index = np.interp(gaps, rows, np.arange(len(rows)))
-    low = np.floor(index).astype(np.intp)
-    high, fraction = np.minimum(low + 1, len(rows) - 1), (index - low)[:, None]
-    out = amplitude.copy()
-    out[gaps] = (1.0 - fraction) * amplitude[rows[low]] + fraction * amplitude[rows[high]]
-    return out
-
-
-def _tip_gain(condition: Condition, carriers: Carriers) -> Float:
-    """Compute the fraction (n, Ka) of each band's height that the finite contact transmits; 0 out of contact."""
-    out = np.zeros((len(condition.force), carriers.arc_count))
-    for index, mechanics in enumerate(condition.mechanics):
-        rows = np.flatnonzero((condition.material == index) & condition.contact & (condition.force > 0.0))
-        force = np.maximum(condition.force[rows], FORCE_FLOOR_N)[:, None]
-        out[rows] = tip_response(carriers.arc_centres(), mechanics, PROBES[condition.probe], force)
-    return out

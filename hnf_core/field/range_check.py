@@ -12,9 +12,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ..action.action import Action
+from ..action.action import ACTION_RATE_HZ, Action
 from ..material.contact_model import Mechanics
+from ..material.probe import get_probe
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, LEVELS, TOKEN_NAMES, band_slice
+from .contact.taps import describe_linear_taps, describe_softened_relief, find_tap_spans
 from .field import LOG_AMPLITUDE_CEILING, Field, FieldConfig
 from .stroke import StrokeInput
 from .training_ranges import SECTOR_RAD, TrainingRanges, compute_angle_to_sectors, find_nearest_in_hull
@@ -86,6 +88,11 @@ def check_ranges(field: Field, stroke: StrokeInput, action: Action) -> tuple[flo
     if not touching.any():
         return 1.0, ("The stroke never touches anything: the signal is silent.",)
     moving = touching & (action.speed > MIN_MOVING_SPEED_M_S)
+    tapping, tap_remarks = _check_taps(stroke, action)
+    # Where the hand stands, the field is silent, and a tap is the whole contact's, which has no training range.
+    touching &= moving | ~tapping
+    if not touching.any():
+        return _summarise(tap_remarks)
     touched = np.unique(stroke.token_index[stroke.action.contact])
     tokens, mechanics = stroke.tokens[touched], [stroke.mechanics[index] for index in touched]
     remarks = [
@@ -96,7 +103,13 @@ def check_ranges(field: Field, stroke: StrokeInput, action: Action) -> tuple[flo
         *_check_token(tokens, ranges),
         *_check_mechanics(mechanics, ranges),
         *_check_probe(action.probe, ranges),
+        *tap_remarks,
     ]
+    return _summarise(remarks)
+
+
+def _summarise(remarks: list[Remark]) -> tuple[float, tuple[str, ...]]:
+    """Return the confidence that the excesses leave, and the warnings."""
     confidence = np.prod([1.0 / (1.0 + excess) for excess, _ in remarks])
     return float(confidence), tuple(text for _, text in remarks)
 
@@ -112,6 +125,23 @@ def check_ceiling(config: FieldConfig, loudest: float) -> tuple[str, ...]:
         return ()
     limited = f"its output is held at {_format_number(ceiling)} m/s²; no touch is so loud"
     return (f"The field comes to {_format_number(loudest)} m/s² in one band, where {limited}.",)
+
+
+def _check_taps(stroke: StrokeInput, action: Action) -> tuple[NDArray[np.bool_], list[Remark]]:
+    """Return at which states (n,) the whole contact is integrated, and a remark if it should be but is too stiff."""
+    tapping, probe = np.zeros(len(action.force), dtype=bool), get_probe(action.probe)
+    spans = find_tap_spans(np.where(action.contact, action.force, 0.0), action.force_curve)
+    problem = ""
+    if stroke.profile is not None and len(stroke.profile.height) > 1:
+        problem = describe_softened_relief(stroke.mechanics, probe)
+    elif spans:
+        when = f" from {_format_number((spans[0][0] + 1) / ACTION_RATE_HZ)} s on"
+        problem = describe_linear_taps(stroke.mechanics, probe, when)
+    if problem:
+        return tapping, [(CATEGORY_EXCESS, problem)]
+    for begin, end in spans:
+        tapping[max(begin, 0) : end + 1] = True
+    return tapping, []
 
 
 def _check_span(name: str, unit: str, scale: float, values: Float, limits: tuple[float, float]) -> Iterator[Remark]:

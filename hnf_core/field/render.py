@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from ..action.action import ACTION_RATE_HZ, Action
 from ..errors import UsageError
 from ..kernel.loader import load_kernel, single_blas_thread_without_kernel
+from ..progress import add_work
 from ..threads import available_cpus, run_in_thread
-from .carrier_rendering import REACH_SAMPLES, Knots, render_carrier_hops, render_carriers_full_rate, sum_arc_carriers
-from .contact_filter import LEAD_SAMPLES, TAIL_SAMPLES
+from .carrier_rendering import REACH_SAMPLES, Knots, render_carrier_hops, render_carriers_full_rate
+from .contact.contact_filter import LEAD_SAMPLES, TAIL_SAMPLES
 from .field import Field
 from .noise_cache import HOP_SIZE, prefetch_noise
 from .prepare import (
@@ -31,17 +32,20 @@ from .prepare import (
     BLOCK_SAMPLES,
     CHUNK_STATES,
     PreparedStroke,
+    StrokeCourse,
     count_memory_states,
     find_audible_spans,
     is_audible,
+    make_line_course,
+    make_stick_slip,
+    make_tap_renderer,
     prepare_stroke,
-    split_blocks,
+    reads_raw_action,
 )
 from .stroke import (
     SAMPLES_PER_STATE,
     StrokeInput,
     extrapolate_position,
-    interpolate_position,
     resample_action,
     sample_count,
 )
@@ -92,15 +96,18 @@ def render_block(prepared: PreparedStroke, start: int, count: int) -> Float:
         finally:
             wait()
         samples += contact[0]
+    for slip in prepared.course.slips:
+        slip.apply(samples, start)
     samples *= audible
     return samples
 
 
 def render_carriers(prepared: PreparedStroke, start: int, count: int) -> Float:
-    """Render the noise carriers modulated by the field, (count,) [m/s²].
+    """Render the noise carriers modulated by the field, and the tones of regular surfaces, (count,) [m/s²].
 
     They are 0 at rest and out of contact, except where the field still weights past states (40 ms).
     """
+    add_work("samples", count, start)
     carriers, seed, action, origin = prepared.carriers, prepared.seed, prepared.action, prepared.origin
     if prepared.amplitude.shape[1] > 1 or carriers.constant:
         return render_carriers_full_rate(prepared.amplitude, carriers, seed, action, start, count, origin)
@@ -113,30 +120,24 @@ def render_carriers(prepared: PreparedStroke, start: int, count: int) -> Float:
         action, first * HOP_SIZE - origin - REACH_SAMPLES, len(hops) * HOP_SIZE + 2 * REACH_SAMPLES
     )
     begin = origin + start - first * HOP_SIZE
-    return render_carrier_hops(knots, carriers, seed, position, hops)[begin : begin + count]
+    samples = render_carrier_hops(knots, carriers, seed, position, hops)[begin : begin + count]
+    if prepared.course.lines is not None and prepared.tone_amplitude is not None:
+        samples = samples + prepared.course.lines.render(action, knot_samples, prepared.tone_amplitude, start, count)
+    return samples
 
 
 def render_contact(prepared: PreparedStroke, start: int, count: int) -> Float:
     """Render the contact's response, (count,) [m/s²], to the pressing force, also at rest, and to the measured relief.
 
-    The response to the force is what is felt of touch, release and changing pressure.
+    The response to the force is what is felt of touch, release and changing pressure; fast changes go through the whole
+    contact.
     """
+    if prepared.motion is not None:
+        return prepared.motion[start : start + count].copy()
     samples = prepared.bank.render_force(prepared.force, start, count)
-    for begin, length in split_blocks(count):
-        samples[begin : begin + length] += _render_profile(prepared, start + begin, length)
+    for tap in prepared.course.taps:
+        tap.apply(samples, start)
     return samples
-
-
-def _render_profile(prepared: PreparedStroke, start: int, count: int) -> Float | float:
-    """Render the height profile through the contact; 0 if there is none."""
-    if prepared.bands is None or prepared.profile_amplitude is None:
-        return 0.0
-    first, length = start - TAIL_SAMPLES, TAIL_SAMPLES + count + LEAD_SAMPLES
-    height = sum_arc_carriers(
-        prepared.profile_amplitude, prepared.carriers, prepared.bands.read_bands,
-        interpolate_position(prepared.action, first, length), first,
-    )  # fmt: skip
-    return prepared.bank.render_height(height, start)
 
 
 CHUNK_STEP = math.lcm(BLOCK_SAMPLES, HOP_SIZE, CHUNK_STATES * SAMPLES_PER_STATE)
@@ -201,15 +202,28 @@ def render_chunks(
         raise UsageError(
             "a stroke with a height profile cannot be cut into portions.", remedy="Synthesise it whole, or without it."
         )
+    if reads_raw_action(field, stroke):
+        raise UsageError("a stroke under a raw action cannot be cut into portions.", remedy="Give 120 s at most.")
     action, token_index = resample_action(stroke)
     count = sample_count(action)
+    # Taps, slips and the phase of lines may have begun long before a chunk, so that all of the stroke is needed.
+    taps = make_tap_renderer(field, stroke, action, token_index)
+    stick_slip = make_stick_slip(field, stroke, action, token_index, seed)
+    lines = make_line_course(field, stroke, action, token_index, seed)
     for start in range(begin, count, length):
         stop = min(start + length, count)
         rows = _find_chunk_states(field, start, stop, len(action.speed))
         origin = rows.start * SAMPLES_PER_STATE
         chunk = StrokeInput(_select_action_states(action, rows), stroke.tokens, stroke.mechanics, token_index[rows])
+        course = StrokeCourse(lines=None if lines is None else lines.rows(rows))
+        if taps is not None:
+            course = replace(course, taps=tuple(tap.shift(-origin) for tap in taps.render(start, stop)))
+        if stick_slip is not None and stick_slip.motion.along_share is not None:
+            slips = tuple(slip.shift(-origin) for slip in stick_slip.render(start, stop))
+            course = replace(course, slips=slips, along_share=stick_slip.motion.along_share[rows])
         with prefetch_noise(field.config, seed, chunk.action, origin):
-            prepared = replace(prepare_stroke(field, chunk, seed=seed, tolerance=tolerance), origin=origin)
+            prepared = prepare_stroke(field, chunk, seed=seed, tolerance=tolerance, course=course)
+            prepared = replace(prepared, origin=origin)
         samples = render_samples(prepared, start - origin, stop - origin)
         yield RenderedChunk(samples, float(prepared.loudest.max(initial=0.0)), prepared.residual_power)
 
@@ -233,4 +247,4 @@ def _find_chunk_states(field: Field, start: int, stop: int, states: int) -> slic
 def _select_action_states(action: Action, rows: slice) -> Action:
     """Return some of the states of an action."""
     names = ("direction", "speed", "force", "position", "contact")
-    return replace(action, **{name: getattr(action, name)[rows] for name in names})
+    return replace(action, force_curve=None, **{name: getattr(action, name)[rows] for name in names})

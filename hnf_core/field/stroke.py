@@ -12,15 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..action.action import ACTION_RATE_HZ, Action
+from ..action.action import ACTION_RATE_HZ, Action, ForceCurve
 from ..errors import StrokeError
 from ..kernel import compiled_carriers as kernel_hop
 from ..kernel.loader import load_kernel
 from ..material.contact_model import MECHANICS_LIMITS, Mechanics
-from ..material.probe import PROBES
+from ..material.probe import PROBE_NAMES, is_probe
 from ..material.token import LARGEST_VALUE, TOKEN_DIM
 from ..signal import Signal
 from .carriers import MODEL_RATE_HZ
+from .contact.lattice_lines import Lines
 from .field import Field
 from .linear_contact import Condition
 
@@ -149,8 +150,8 @@ def _find_problem(stroke: StrokeInput) -> str:
     for name, shape in shapes.items():
         if getattr(action, name).shape != shape:
             return f"{name} has shape {getattr(action, name).shape}, not {shape}."
-    if action.probe not in PROBES:
-        return f"there is no probe {action.probe!r}, only {' and '.join(PROBES)}."
+    if not is_probe(action.probe):
+        return f"there is no probe {action.probe!r}, only {', '.join(PROBE_NAMES)} and files."
     if stroke.tokens.ndim != 2 or stroke.tokens.shape[1] != TOKEN_DIM:
         return f"tokens have shape {stroke.tokens.shape}, not (M, {TOKEN_DIM})."
     if len(stroke.mechanics) != len(stroke.tokens):
@@ -176,6 +177,8 @@ def _bounded_values(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float
     yield "action rate [Hz]", np.array([action.rate])
     yield "speed [m/s]", action.speed
     yield "force [N]", action.force
+    if action.force_curve is not None:
+        yield "force [N]", action.force_curve.force_n
     yield "position [m]", action.position
     yield "direction", action.direction
     yield "token", stroke.tokens.astype(np.float64)
@@ -183,6 +186,11 @@ def _bounded_values(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float
     yield "stiffness [N/m]", _known_values(properties.stiffness_n_m for properties in mechanics)
     yield "damping ratio", _known_values(properties.damping_ratio for properties in mechanics)
     yield "friction", _known_values(properties.friction for properties in mechanics)
+    yield "friction noise [N]", _known_values(properties.friction_noise_n for properties in mechanics)
+    yield "friction noise slope", _known_values(properties.friction_noise_slope for properties in mechanics)
+    yield "pile [m]", _known_values(properties.pile_m for properties in mechanics)
+    yield "thread spacing [m]", _known_values(properties.thread_spacing_m for properties in mechanics)
+    yield "pitch scatter [m]", _known_values(properties.pitch_scatter_m for properties in mechanics)
     if profile is not None:
         yield "profile step [m]", np.array([profile.step_m])
         yield "profile height [m]", profile.height
@@ -196,6 +204,8 @@ def _known_values(values: Iterable[float | None]) -> NDArray[np.float64]:
 
 Float = NDArray[np.float64]
 
+_LEAST_TOUCH_N = 1e-3
+"""Force at a state that is touched only between it and the next [N]: far below what F_Θ gives anything for."""
 SAMPLES_PER_STATE = round(MODEL_RATE_HZ / ACTION_RATE_HZ)
 STATE_FRACTIONS = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
 """Fractions of the way from a state to the next, at the samples between them."""
@@ -236,22 +246,36 @@ def resample_action(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
     direction = np.stack([np.interp(time, source, action.direction[:, axis]) for axis in range(2)], axis=1)
     nearest = np.minimum(np.rint(time * action.rate).astype(int), len(source) - 1)
     length = np.linalg.norm(direction, axis=1, keepdims=True)
+    force, contact, curve = np.interp(time, source, action.force), action.contact[nearest], action.force_curve
+    if action.rate > ACTION_RATE_HZ and curve is None:
+        curve = ForceCurve(source, np.where(action.contact, action.force, 0.0))
+        touched = curve.touches_near(time) & ~contact
+        # A tap between two states must touch at one of them, where a state's own force may be 0.
+        contact, force = contact | touched, np.where(touched, np.maximum(force, _LEAST_TOUCH_N), force)
     resampled = Action(
         rate=ACTION_RATE_HZ,
         direction=np.where(length > 1e-9, direction / np.maximum(length, 1e-9), action.direction[nearest]),
         speed=np.interp(time, source, action.speed),
-        force=np.interp(time, source, action.force),
+        force=force,
         position=interpolate_cubic(action.position, time * action.rate),
-        contact=action.contact[nearest],
+        contact=contact,
         probe=action.probe,
+        force_curve=curve,
     )
     return resampled, stroke.token_index[nearest]
 
 
-def build_condition(stroke: StrokeInput, action: Action, token_index: NDArray[np.int32]) -> Condition:
+def build_condition(
+    stroke: StrokeInput,
+    action: Action,
+    token_index: NDArray[np.int32],
+    along_share: Float | None = None,
+    lines: Lines | None = None,
+) -> Condition:
     """Build the input of F_Θ at every state of a stroke.
 
-    action, token_index: from resample_action.
+    action, token_index: from resample_action. along_share: (n,) as in Condition. lines: of the stroke's materials, if
+    their tones are to be apart from the carriers.
     """
     tokens, (mechanics, row_index) = (
         stroke.tokens.astype(np.float64)[token_index],
@@ -266,6 +290,8 @@ def build_condition(stroke: StrokeInput, action: Action, token_index: NDArray[np
         action.force,
         action.contact,
         action.probe,
+        along_share,
+        None if lines is None else lines.project(token_index, action.direction),
     )
 
 
@@ -280,14 +306,20 @@ def find_distinct_mechanics(mechanics: Sequence[Mechanics]) -> tuple[tuple[Mecha
 
 
 def interpolate_condition(
-    stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], sample: NDArray[np.int64]
+    stroke: StrokeInput,
+    action: Action,
+    token_index: NDArray[np.int32],
+    sample: NDArray[np.int64],
+    along_share: Float | None = None,
+    lines: Lines | None = None,
 ) -> Condition:
     """Build the input of F_Θ at any 10 kHz samples of a stroke; samples beyond its ends are clamped to it.
 
     Linear between states, direction as a vector, contact and material of the nearest state. action, token_index: from
-    resample_action.
+    resample_action, or of the stroke itself at its own rate. along_share: (n,) at the states, as in Condition. lines:
+    as in build_condition.
     """
-    position = np.clip(sample / SAMPLES_PER_STATE, 0, len(action.speed) - 1)
+    position = np.clip(sample / (MODEL_RATE_HZ / action.rate), 0, len(action.speed) - 1)
     states, nearest = np.arange(len(action.speed)), np.rint(position).astype(np.int64)
     direction = np.empty((len(position), 2))
     for axis in range(2):
@@ -298,7 +330,11 @@ def interpolate_condition(
     speed, force = (np.interp(position, states, values) for values in (action.speed, action.force))
     tokens, contact = stroke.tokens.astype(np.float64)[material], action.contact[nearest]
     mechanics, row_index = find_distinct_mechanics(stroke.mechanics)
-    return Condition(tokens, mechanics, row_index[material], direction, speed, force, contact, action.probe)
+    share = None if along_share is None else np.interp(position, states, along_share)
+    return Condition(
+        tokens, mechanics, row_index[material], direction, speed, force, contact, action.probe, share,
+        None if lines is None else lines.project(material, direction),
+    )  # fmt: skip
 
 
 def sample_count(action: Action) -> int:
@@ -321,7 +357,7 @@ def interpolate_cubic(values: Float, index: Float) -> Float:
     padded = np.concatenate(
         [[2 * values[0] - values[min(1, last)]], values, [2 * values[-1] - values[max(last - 1, 0)]]]
     )
-    weights = _catmull_rom_weights(t)
+    weights = catmull_rom_weights(t)
     return np.asarray(sum(weight * padded[np.minimum(low + tap, last + 2)] for tap, weight in enumerate(weights)))
 
 
@@ -355,7 +391,7 @@ def interpolate_cubic_samples(values: Float, start: int, count: int) -> Float:
     return np.asarray(samples.reshape(-1)[start - first * SAMPLES_PER_STATE :][:count])
 
 
-def _catmull_rom_weights(t: Float) -> tuple[Float, ...]:
+def catmull_rom_weights(t: Float) -> tuple[Float, ...]:
     """Return the Catmull–Rom weights of four values, at t on the way from the second to the third."""
     return (
         0.5 * t * (2.0 * t - 1.0 - t**2),
@@ -375,7 +411,7 @@ def _bspline_weights(t: Float) -> tuple[Float, ...]:
     )
 
 
-_CATMULL_ROM_TABLE = _catmull_rom_weights(STATE_FRACTIONS)
+_CATMULL_ROM_TABLE = catmull_rom_weights(STATE_FRACTIONS)
 
 
 def interpolate_position(action: Action, start: int, count: int) -> Float:

@@ -18,12 +18,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import UsageError
 from ..kernel.loader import single_blas_thread_without_kernel
 from ..signal import Signal
 from .carrier_rendering import find_states_read
-from .carriers import MODEL_RATE_HZ
-from .contact_filter import LEAD_SAMPLES, TAIL_SAMPLES
-from .field import Evaluator, Field, evaluate, is_same_field
+from .carriers import MODEL_RATE_HZ, WORD_MASK
+from .contact.contact_filter import LEAD_SAMPLES, TAIL_SAMPLES
+from .contact.contact_motion import render_motion_axes
+from .contact.stick_slip import SlipResponse
+from .contact.taps import TapResponse
+from .field import Emission, Evaluator, Field, evaluate, is_same_field
+from .force_noise import get_force_noise
+from .linear_contact import (
+    FORCE_FLOOR_N,
+    SPEED_FLOOR_M_S,
+    Condition,
+    compute_axis_power,
+    extend_to_tones,
+    time_band_power,
+)
 from .noise_cache import prefetch_noise
 from .prepare import PreparedStroke, is_audible, prepare_stroke, split_blocks
 from .range_check import check_ceiling, check_ranges
@@ -112,12 +125,107 @@ def make_result(
     output, rate_warnings = resample(samples, MODEL_RATE_HZ, sample_rate)
     confidence, warnings = check_ranges(field, stroke, prepared.action)
     warnings += check_ceiling(field.config, float(prepared.loudest.max(initial=0.0)))
-    if stroke.profile is not None and prepared.bands is None:
+    if stroke.profile is not None and prepared.motion is None:
         warnings += ("This field has no arc-length carriers: the height profile is left out.",)
     provenance = {"probe": stroke.action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
     signal = Signal(output.astype(np.float32), float(sample_rate), prepared.seed, provenance)
     warnings += (*rate_warnings, *tolerance_warning(prepared.residual_power, tolerance))
     return Synthesis(signal, confidence, warnings)
+
+
+AXES = ("along the stroke", "across it", "along the normal")
+"""Axes of `synthesise_axes`, in order."""
+_AXIS_SEED_STEP = 0x9E37_79B9_7F4A_7C15
+"""Difference of the seeds of two axes, whose carriers are independent."""
+
+
+def synthesise_axes(
+    field: Field, stroke: StrokeInput, *, seed: int, sample_rate: float = MODEL_RATE_HZ
+) -> tuple[Synthesis, Synthesis, Synthesis]:
+    """Synthesise the acceleration along the stroke, across it and along the normal.
+
+    Parameters
+    ----------
+    field
+        The field, with the linear contact and arc carriers.
+    stroke
+        Action and surface.
+    seed
+        Seed of the carriers.
+    sample_rate
+        Output sample rate [Hz].
+
+    Returns
+    -------
+    tuple of Synthesis
+        One per axis of AXES.
+
+    Raises
+    ------
+    StrokeError
+        If the action has no duration.
+    UsageError
+        If the field has no linear contact, or for an impossible sample rate.
+
+    Notes
+    -----
+    The field gives the power of all axes, as DFT321 combines them; it is divided as the linear contact and friction's
+    force noise divide theirs. So the power spectra of the three add up to that of `synthesise`. Pressing acts along the
+    normal, a measured relief along the normal and the stroke.
+    """
+    if not field.config.physics or not field.config.carriers.arc_count:
+        raise UsageError("these weights do not tell the axes apart.", remedy="Leave --axes out.")
+
+    action, token_index = resample_action(stroke)
+
+    def synthesise_axis(axis: int) -> Synthesis:
+        def evaluate_axis(model: Field, condition: Condition) -> Emission:
+            emission = evaluate(model, condition)
+            shares = compute_axis_shares(model, condition)[axis]
+            shares = extend_to_tones(shares, condition, model.config.carriers)
+            return Emission(emission.alpha * np.sqrt(shares)[:, None, :], emission.sigma_dt)
+
+        axis_seed = (seed + axis * _AXIS_SEED_STEP) & WORD_MASK
+        prepared = prepare_stroke(field, stroke, seed=axis_seed, evaluator=evaluate_axis)
+        if axis != len(AXES) - 1:
+            prepared = replace(
+                prepared,
+                force=np.full_like(prepared.force, prepared.force[0]),
+                course=replace(prepared.course, taps=()),
+            )
+        if axis != 0:
+            prepared = replace(prepared, course=replace(prepared.course, slips=()))
+        if prepared.motion is not None:
+            along, normal = render_motion_axes(stroke, action, token_index, prepared.carriers)
+            prepared = replace(prepared, motion=(along, np.zeros_like(along), normal)[axis])
+        return make_result(field, stroke, prepared, render_samples(prepared), sample_rate)
+
+    return synthesise_axis(0), synthesise_axis(1), synthesise_axis(2)
+
+
+def compute_axis_shares(field: Field, condition: Condition) -> Float:
+    """Compute the share (3, n, K) of each axis of AXES in the power of every carrier at n states; they add up to 1."""
+    carriers, speed = field.config.carriers, np.maximum(condition.speed, SPEED_FLOOR_M_S)
+    arc = compute_axis_power(condition, carriers)
+    power = np.empty((len(AXES), len(speed), carriers.count))
+    power[:, :, carriers.arc_slice] = arc
+    power[:, :, carriers.time_slice] = [time_band_power(each, speed, carriers) for each in arc]
+    if field.config.force_noise:
+        force = np.maximum(condition.force, FORCE_FLOOR_N)
+        for index, mechanics in enumerate(condition.mechanics):
+            rows = np.flatnonzero(condition.material == index)
+            if len(rows):
+                power[0, rows] += get_force_noise(mechanics, condition.probe, carriers).compute_power(
+                    speed[rows], force[rows]
+                )
+    if condition.along_share is not None:
+        power[0] *= condition.along_share[:, None]
+    power += _LEAST_AXIS_POWER
+    return np.asarray(power / power.sum(axis=0))
+
+
+_LEAST_AXIS_POWER = 1e-20
+"""Power added to every axis, so that shares are defined where nothing vibrates [(m/s²)²]."""
 
 
 @dataclass(frozen=True)
@@ -292,11 +400,15 @@ def find_changed_blocks(old: PreparedStroke, new: PreparedStroke) -> list[tuple[
     """Return (start, length) [samples] of the blocks in which two strokes with the same path may differ."""
     states = len(new.force)
     texture = _rows_differ(old.amplitude, new.amplitude)
+    if new.tone_amplitude is not None and old.tone_amplitude is not None:
+        texture |= _rows_differ(old.tone_amplitude, new.tone_amplitude)
     pressing = old.force != new.force
-    height = np.zeros(states, dtype=bool)
-    if new.profile_amplitude is not None and old.profile_amplitude is not None:
-        height = _rows_differ(old.profile_amplitude, new.profile_amplitude)
     audible = old.audible != new.audible
+    if new.motion is not None and old.motion is not None:
+        audible = audible | (old.motion != new.motion)
+        pressing = np.zeros_like(pressing)
+    for before, after in ((old.course.taps, new.course.taps), (old.course.slips, new.course.slips)):
+        _mark_changed(audible, before, after)
     blocks = []
     for start, count in split_blocks(new.count):
         near = find_states_read(states, start, count)
@@ -304,11 +416,24 @@ def find_changed_blocks(old: PreparedStroke, new: PreparedStroke) -> list[tuple[
         low = (start - TAIL_SAMPLES) // SAMPLES_PER_STATE - _SPLINE_STATES
         far = slice(max(low, 0), (start + count + LEAD_SAMPLES) // SAMPLES_PER_STATE + _SPLINE_STATES + 1)
         if audible[start : start + count].any() or (
-            is_audible(new.audible[start : start + count])
-            and (texture[near].any() or pressing[far].any() or height[far].any())
+            is_audible(new.audible[start : start + count]) and (texture[near].any() or pressing[far].any())
         ):
             blocks.append((start, count))
     return blocks
+
+
+def _mark_changed(
+    changed: NDArray[np.bool_],
+    before: Sequence[TapResponse | SlipResponse],
+    after: Sequence[TapResponse | SlipResponse],
+) -> None:
+    """Set `changed` (count,) where responses that are added to the signal differ, in place."""
+    for responses, others in ((before, after), (after, before)):
+        samples = {each.start: each.samples for each in others}
+        for each in responses:
+            other = samples.get(each.start)
+            if other is None or not np.array_equal(each.samples, other):
+                changed[max(each.start, 0) : max(each.start + len(each.samples), 0)] = True
 
 
 def _rows_differ(old: Float, new: Float) -> NDArray[np.bool_]:

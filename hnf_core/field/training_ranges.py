@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..errors import StrokeError
-from ..material.contact_model import MECHANICS_NAMES, Mechanics
+from ..material.contact_model import LEARNED_MECHANICS, Mechanics
 from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
 
 Float = NDArray[np.float64]
@@ -134,7 +134,7 @@ def compute_training_ranges(
         sectors=_find_sectors(np.concatenate(directions)) if directions else (),
         mechanics={
             name: _summarise_property([getattr(properties, name) for properties in mechanics], withheld)
-            for name in MECHANICS_NAMES
+            for name in LEARNED_MECHANICS
         },
         probes=tuple(sorted(set(probes if probes is not None else (action.probe for action in actions)))),
     )

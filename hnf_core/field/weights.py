@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from ..errors import WeightsError
 from ..files import write_bytes
-from ..material.contact_model import MECHANICS_NAMES, Mechanics, describe_limit_violation
+from ..material.contact_model import LEARNED_MECHANICS, Mechanics, describe_limit_violation
 from ..material.library import Appearance, LibraryMaterial
-from ..material.token import ENCODER_ID, LARGEST_VALUE, TOKEN_DIM, Token
+from ..material.token import ENCODER_ID, LARGEST_VALUE, TOKEN_DIM, Token, split_encoders
 from ..safetensors_io import WeightsFile, WeightsKind, dump_tensors, parse_weights, read_weights
 from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers, find_first_bins
 from .field import Field, FieldConfig
@@ -323,7 +323,7 @@ def _parse_ranges(metadata: Mapping[str, str], tensors: Mapping[str, NDArray[np.
         sectors=None if sectors is None else tuple(bool(sector) for sector in sectors),
         mechanics=None
         if mechanics is None
-        else {name: _parse_property_range(mechanics[name]) for name in MECHANICS_NAMES},
+        else {name: _parse_property_range(mechanics[name]) for name in LEARNED_MECHANICS},
         probes=None if probes is None else tuple(str(probe) for probe in probes),
     )
 
@@ -396,6 +396,40 @@ def load_material_field(material: MaterialFile) -> Field | None:
     Raises WeightsError if it is damaged or of more than one material.
     """
     return _parse_material_field(material.field, material.name) if material.field else None
+
+
+def resolve_material_field(material: MaterialFile, where: str) -> tuple[Field, LibraryMaterial]:
+    """Return the field that synthesises a material, its own or a shipped one, and the material as that field knows it.
+
+    where: source named in messages. Raises WeightsError as load_material_field and load_field_for_encoders.
+    """
+    from ..material.hnf_file import with_library_defaults
+
+    field = load_material_field(material)
+    if field is not None:
+        return field, read_trained_material(field, where)
+    return load_field_for_encoders(split_encoders(material.encoder)), with_library_defaults(material)
+
+
+def read_material_file(path: Path) -> MaterialFile:
+    """Read a material from a `.hnf` file, or from the `.safetensors` weights of a field trained for one material.
+
+    Raises
+    ------
+    FileError
+        If the file is missing or damaged.
+    WeightsError
+        If its field is damaged or of more than one material.
+    MaterialError
+        If the weights are larger than a material may be.
+    """
+    from ..material.hnf_file import HNF_SUFFIX, read_hnf
+
+    if path.suffix.lower() == HNF_SUFFIX:
+        material = read_hnf(path)
+        load_material_field(material)
+        return material
+    return build_learned_material(serialise_field(load_field(path)), str(path))
 
 
 @lru_cache(maxsize=CACHED_FIELDS)

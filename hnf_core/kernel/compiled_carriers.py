@@ -3,7 +3,7 @@
 Holds the C calls that draw noise bands and turn them into waves, render carriers modulated by amplitudes, hop by hop (a
 fixed number of samples), read arc-length carriers for a live hand, interpolate the hand's position, filter the pressing
 force, and find the bends of an action. The numpy implementations of the same are in field/carriers.py,
-field/carrier_rendering.py, field/live/carriers.py, field/stroke.py, field/contact_filter.py and
+field/carrier_rendering.py, field/live/carriers.py, field/stroke.py, field/contact/contact_filter.py and
 field/adaptive_sampling.py.
 """
 
@@ -494,6 +494,125 @@ class StateResponses:
             get_address(out, np.float64),
         )  # fmt: skip
         return out
+
+
+def integrate_motion(
+    kernel: ctypes.CDLL, contact: Float, drives: Float, state: Float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Integrate a probe dragged over a relief; return its acceleration (steps,) along normal and path [m/s²].
+
+    contact: (13,) constants of hnf_moving_contact. drives: (5, steps + 2). state: (5,), updated. Raises ValueError if
+    shapes do not fit.
+    """
+    if contact.shape != (13,) or len(drives) != 5 or drives.shape[1] < 2 or state.shape != (5,):
+        raise ValueError(f"a contact {contact.shape}, drives {drives.shape} and the state {state.shape}")
+    steps = drives.shape[1] - 2
+    normal, along = np.empty(steps), np.empty(steps)
+    kernel.hnf_contact_motion(
+        get_address(contact, np.float64), get_address(drives, np.float64), drives.shape[1], steps,
+        get_address(state, np.float64, writable=True), get_address(normal, np.float64, writable=True),
+        get_address(along, np.float64, writable=True),
+    )  # fmt: skip
+    return normal, along
+
+
+class _DisplacementStruct(ctypes.Structure):
+    _fields_ = (
+        ("grid", ctypes.c_void_p),
+        ("points", ctypes.c_int64),
+        *((name, ctypes.c_double) for name in ("start", "per_m")),
+    )
+
+
+class _TonesStruct(ctypes.Structure):
+    _fields_ = (
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("turns", "between", "scatter", "amplitude", "factors", "offsets", "knots")
+        ),
+        *((name, ctypes.c_int64) for name in ("states", "lines", "harmonics", "knot_count", "per_state")),
+    )
+
+
+class ToneRenderer:
+    """Tones of lines along a path, as the kernel renders them.
+
+    Parameters
+    ----------
+    turns
+        (states, L) phases of the lines [turns].
+    between
+        (states − 1, L) their wavenumbers between two states [cycles/m]; at least one row.
+    scatter
+        (states, 2, L) phase by which a displacement of 1 along either axis shifts them [turns].
+    knots
+        (m,) ascending samples of the amplitudes.
+    amplitude
+        (m, L · harmonics) RMS of the tones there [m/s²].
+    factors
+        (harmonics,) multiples of a line's wavenumber.
+    offsets
+        (L · harmonics,) phase of the tones where the path begins [turns].
+    samples_per_state
+        Samples from one state to the next.
+    """
+
+    def __init__(
+        self, turns: Float, between: Float, scatter: Float, knots: NDArray[np.int64], amplitude: Float, factors: Float,
+        offsets: Float, samples_per_state: int,
+    ) -> None:  # fmt: skip
+        states, lines, tones = *turns.shape, turns.shape[1] * len(factors)
+        shapes = between.shape, scatter.shape, amplitude.shape, offsets.shape
+        if shapes != ((max(states - 1, 1), lines), (states, 2, lines), (len(knots), tones), (tones,)):
+            raise ValueError(f"{turns.shape} phases with {shapes}")
+        arrays = turns, between, scatter, amplitude, factors, offsets
+        self._arrays = *arrays, knots
+        self._struct = _TonesStruct(
+            *(get_address(array, np.float64) for array in arrays), get_address(knots, np.int64), states, lines,
+            len(factors), len(knots), samples_per_state,
+        )  # fmt: skip
+
+    def render(
+        self,
+        kernel: ctypes.CDLL,
+        way: Float,
+        position: Float,
+        start: int,
+        displacement: tuple[Float, float, float] | None = None,
+    ) -> NDArray[np.float64]:
+        """Render samples start, start + 1, ….
+
+        way: (count,) along the path from the state before each, position: along the whole path [m]. displacement: of
+        the lines along the axes (2, points), where the first point is [m], and the points per metre; None if the lines
+        are even.
+        """
+        out, struct = np.zeros(len(way)), _DisplacementStruct(None, 0, 0.0, 0.0)
+        if displacement is not None:
+            grid, first, per_m = displacement
+            struct = _DisplacementStruct(get_address(grid, np.float64), grid.shape[1], first, per_m)
+        kernel.hnf_tones(
+            ctypes.byref(self._struct), ctypes.byref(struct), get_address(way, np.float64),
+            get_address(position, np.float64), start, len(way), get_address(out, np.float64, writable=True),
+        )  # fmt: skip
+        return out
+
+
+def integrate_tap(kernel: ctypes.CDLL, contact: Float, modes: Float, force: Float, every: int, state: Float) -> Float:
+    """Integrate the motion of a mass on a nonlinear contact; return every so many steps' acceleration [m/s²].
+
+    contact: (6,) constants of hnf_normal_contact. modes: (m, 5) biquads. force: (steps,) [N]. state: (2 + 2 m,) height,
+    velocity and two numbers of each mode, updated. Raises ValueError if shapes do not fit.
+    """
+    if contact.shape != (6,) or modes.shape[1:] != (5,) or state.shape != (2 + 2 * len(modes),):
+        raise ValueError(f"a contact {contact.shape} with modes {modes.shape} and the state {state.shape}")
+    if every < 1 or len(force) % every:
+        raise ValueError(f"{len(force)} steps, {every} a sample")
+    out = np.empty(len(force) // every)
+    kernel.hnf_tap(
+        get_address(contact, np.float64), get_address(modes, np.float64), len(modes), get_address(force, np.float64),
+        len(force), every, get_address(state, np.float64, writable=True), get_address(out, np.float64, writable=True),
+    )  # fmt: skip
+    return out
 
 
 def find_bends(

@@ -37,10 +37,13 @@ TOKEN_FEATURES = ("level", "peak", "offset", "cos2", "sin2", "cos4", "sin4")
 
 
 _TABLE_COUNTS = ("bands", "token_bands", "features", "angles")
-_TABLE_ARRAYS = ("kappa", "below", "share", "nearest_end", "wavelength", "turn", "shift")
+_TABLE_ARRAYS = ("kappa", "below", "share", "nearest_end", "wavelength", "line_share", "turn", "shift")
 _SIMD_WIDTH = 4
 """Numbers per vector, as in contact.c."""
-_TABLE_NUMBERS = ("per_octave", "concentration", "bump_mean", "least_left", "hand", "hand_damping")
+_TABLE_NUMBERS = (
+    "per_octave", "concentration", "bump_mean", "least_left", "hand", "hand_damping", "least_across", "clear_peak",
+    "least_offset_scale",
+)  # fmt: skip
 
 
 class _TablesStruct(ctypes.Structure):
@@ -65,6 +68,8 @@ class ContactTables:
         the way to the next.
     wavelength, nearest_end
         (T,) wavelength of each token band, and the index after the last arc band that it is nearest to.
+    line_share
+        (T,) share of a token band's power from which on its strongest wave is a line.
     turn, shift
         (A, 4) cosines and sines of twice and four times each angle of a wave to the stroke; (A,) arc bands by which the
         angle lowers the wave along the stroke.
@@ -78,20 +83,21 @@ class ContactTables:
     """
 
     def __init__(
-        self, *, features: Sequence[str], kappa: Float, share: Float, wavelength: Float, turn: Float, below: Integers,
-        nearest_end: Integers, shift: Integers, **numbers: float,
+        self, *, features: Sequence[str], kappa: Float, share: Float, wavelength: Float, line_share: Float, turn: Float,
+        below: Integers, nearest_end: Integers, shift: Integers, **numbers: float,
     ) -> None:  # fmt: skip
         self.bands, self.token_bands, self.angles = len(kappa), len(wavelength), len(shift)
         is_valid = below.min() >= 0 and below.max() < self.token_bands - 1
         is_valid &= shift.min() >= 0 and nearest_end.max() == self.bands and len(nearest_end) == self.token_bands
+        is_valid &= len(line_share) == self.token_bands
         if not (is_valid and len(share) == len(below) == self.bands and turn.shape == (len(shift), 4)):
             raise ValueError(f"tables of {self.bands} bands, {self.token_bands} of a token and {self.angles} angles")
         self.token_size = self.token_bands * len(features)
         row = self.bands + int(shift.max()) + _SIMD_WIDTH
-        self.scratch_size = 6 * self.bands + 21 * (self.token_bands + _SIMD_WIDTH - 1) + (3 + self.angles) * row
+        self.scratch_size = 6 * self.bands + 22 * (self.token_bands + _SIMD_WIDTH - 1) + (3 + self.angles) * row
         self._arrays = [
             np.ascontiguousarray(array, dtype=np.float64 if array.dtype.kind == "f" else np.int64)
-            for array in (kappa, below, share, nearest_end, wavelength, turn, shift)
+            for array in (kappa, below, share, nearest_end, wavelength, line_share, turn, shift)
         ]
         self.struct = _TablesStruct(
             self.bands, self.token_bands, len(features), self.angles,
@@ -317,6 +323,7 @@ class EmissionTables:
             "harmonics": len(harmonic_shift), **numbers,
         }  # fmt: skip
         self.inputs, self.fixed, self.outputs = (int(counts[name]) for name in ("inputs", "fixed", "outputs"))
+        self.has_line_gains, self.harmonics = bool(counts["line_gains"]), len(harmonic_shift)
         self.carriers, self.token_size, time_bands = len(skip), len(token_shift), len(time_edge) - 1
         gain_count = int(counts["line_gains"]) * len(harmonic_shift) * self.lines
         end = int(counts["direction_at"]) + _ACTION_INPUT_COUNT + time_bands + _SCALAR_INPUT_COUNT
@@ -443,6 +450,77 @@ def decode_head(
     return alpha
 
 
+class _PathLinesStruct(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("column", "pitch", "along", "scatter", "tones")),
+        ("count", ctypes.c_int64),
+    )
+
+
+class ToneArrays:
+    """Lines along the path at n states whose tones are apart from the carriers, and the tones (n, L · harmonics).
+
+    Parameters
+    ----------
+    emitter
+        Constants of the field.
+    column
+        (n, L) which of the linear contact's lines these are.
+    pitch
+        (n, L) wavenumbers across the crests [cycles/m]; 0 where there is no such line.
+    along
+        (n, L) wavenumbers along the path [cycles/m].
+    scatter
+        (n,) RMS displacement of the lattice [m].
+
+    Raises
+    ------
+    ValueError
+        If these do not fit together, or name lines that no token has.
+    """
+
+    def __init__(self, emitter: EmissionTables, column: Integers, pitch: Float, along: Float, scatter: Float) -> None:
+        shapes, count = {column.shape, pitch.shape, along.shape}, column.shape[-1]
+        is_valid = not column.size or (int(column.min()) >= 0 and int(column.max()) < emitter.lines)
+        if shapes != {(len(scatter), count)} or not is_valid or not emitter.has_line_gains:
+            raise ValueError(f"{shapes} wavenumbers of {count} lines at {len(scatter)} states")
+        self.states, self.along, self.column = len(scatter), along, column
+        self.tones = np.empty((self.states, count * emitter.harmonics))
+        arrays = pitch, along, scatter, self.tones
+        self._arrays = column, *arrays
+        self.struct = _PathLinesStruct(
+            get_address(column, np.int64), *(get_address(array, np.float64) for array in arrays), count
+        )
+
+
+def take_tones(
+    kernel: ctypes.CDLL, emitter: EmissionTables, head: Float32, motion: Float, prior: ContactPrior, lines: ToneArrays
+) -> None:
+    """Take the tones of lines out of the contact's prediction, in place, before decode_head; they are in lines.tones.
+
+    Other parameters and errors as of decode_head.
+    """
+    _check_head(emitter, head, motion)
+    if len(head) != lines.states:
+        raise ValueError(f"lines at {lines.states} states for {len(head)}")
+    kernel.hnf_take_tones(
+        ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), get_address(head, np.float32),
+        get_address(motion, np.float64), ctypes.byref(prior.to_struct(len(head), emitter)), len(head),
+        ctypes.byref(lines.struct),
+    )  # fmt: skip
+
+
+def gather_sidebands(kernel: ctypes.CDLL, emitter: EmissionTables, lines: ToneArrays, alpha: Float) -> None:
+    """Give the tones what the scatter of their pitch spreads about them, from alpha (n, K), in place."""
+    if alpha.shape != (lines.states, emitter.carriers):
+        raise ValueError(f"amplitudes {alpha.shape} for lines at {lines.states} states")
+    scratch = np.empty(emitter.tables.bands)
+    kernel.hnf_gather_sidebands(
+        ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), lines.states, ctypes.byref(lines.struct),
+        get_address(scratch, np.float64), get_address(alpha, np.float64, writable=True),
+    )  # fmt: skip
+
+
 def decode_known_head(
     kernel: ctypes.CDLL, emitter: EmissionTables, tokens: Float, motion: Float, touch: Float, head: Float32
 ) -> Float:
@@ -536,16 +614,29 @@ class StateEvaluator:
         )  # fmt: skip
         self._buffers = (emitter, layers, token, fixed, x, prior, prior_struct, buffer, layer_buffer, head)
 
-    def evaluate(self, kernel: ctypes.CDLL, motion: Sequence[float], touch: Sequence[float]) -> tuple[Float, Float32]:
+    def evaluate(
+        self,
+        kernel: ctypes.CDLL,
+        motion: Sequence[float],
+        touch: Sequence[float],
+        lines: ToneArrays | None = None,
+    ) -> tuple[Float, Float32]:
         """Return amplitudes α (K,), 0 if nothing moves, and the σ head's outputs (N,); the next call overwrites both.
 
-        motion, touch: values in the order of MOTION_COLUMNS and CONTACT_COLUMNS.
+        motion, touch: values in the order of MOTION_COLUMNS and CONTACT_COLUMNS. lines: lines at this state, whose
+        tones are to be apart from α.
         """
         _MOTION_PACKER.pack_into(self._motion.data, 0, *motion)
         _CONTACT_PACKER.pack_into(self._touch.data, 0, *touch)
         kernel.hnf_inputs(*self._inputs)
         kernel.hnf_layers(*self._layers)
+        if lines is None:
+            kernel.hnf_emitted(*self._emitted)
+            return self._alpha, self._sigma[0]
+        reference = ctypes.byref(lines.struct)
+        kernel.hnf_take_tones(*self._emitted[:6], reference)
         kernel.hnf_emitted(*self._emitted)
+        kernel.hnf_gather_sidebands(*self._emitted[:2], 1, reference, *self._emitted[6:])
         return self._alpha, self._sigma[0]
 
 

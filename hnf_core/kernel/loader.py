@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..threads import single_blas_thread
 
-ABI = 7
+ABI = 11
 """HNF_ABI of hnf_kernel.h; a library of another version has other functions."""
 SWITCH_VARIABLE = "HNF_KERNEL"
 LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -37,6 +37,9 @@ _SIGNATURES = {
     "hnf_press": (
         _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer, _Integer, _Integer, _Integer, _Integer, _Pointer,
     ),
+    "hnf_contact_motion": (_Pointer, _Pointer, _Integer, _Integer, _Pointer, _Pointer, _Pointer),
+    "hnf_tap": (_Pointer, _Pointer, _Integer, _Pointer, _Integer, _Integer, _Pointer, _Pointer),
+    "hnf_tones": (_Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Integer, _Pointer),
     "hnf_place": (_Pointer, _Integer, _Integer, _Integer, _Integer, _Pointer),
     "hnf_read_arcs": (
         _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer,
@@ -47,6 +50,8 @@ _SIGNATURES = {
         _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer,
     ),
     "hnf_emitted": (_Pointer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer),
+    "hnf_take_tones": (_Pointer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer),
+    "hnf_gather_sidebands": (_Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer),
     "hnf_layers": (
         _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer,
     ),

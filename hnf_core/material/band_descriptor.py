@@ -9,15 +9,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import UsageError
-from ..tactile.fourier_filters import frequencies, gaussian_mtf
+from ..tactile.fourier_filters import evaluate_plane, fit_plane, frequencies, gaussian_mtf
 from ..tactile.optics import decode_gradients, get_sensor
 from ..tactile.tactile_map import TactileMap
-from .token import BAND_FEATURES, BAND_WAVELENGTHS_M, SHAPE_FEATURES, SMOOTH_LEVEL, TOKEN_DIM, Token, band_slice
+from .token import (
+    BAND_FEATURES,
+    BAND_WAVELENGTHS_M,
+    CLEAR_PEAK_SHARE,
+    SHAPE_FEATURES,
+    SMOOTH_LEVEL,
+    TOKEN_DIM,
+    Token,
+    band_slice,
+)
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -32,9 +42,6 @@ MIN_SHAPE_BANDS = 3
 grains."""
 FLOOR_M2 = (10.0**SMOOTH_LEVEL) ** 2
 """Mean square height of a smooth band [m²]."""
-CLEAR_PEAK_SHARE = 0.3
-"""Fraction of a band's power in its strongest peak from which the peak's offset is reported in full; below, it is
-scaled down."""
 FEATHER_M = 0.4e-3
 """Distance over which the window falls to zero at the border of the mask [m]."""
 
@@ -125,6 +132,56 @@ def find_resolved_bands(size_m: float, metres_per_pixel: float, resolved_wavelen
     shortest = BAND_WAVELENGTHS_M / BAND_EDGE_RATIO * (1.0 + 1e-6)
     finest = max(resolved_wavelength_m, 2.0 * metres_per_pixel)
     return np.asarray((finest <= shortest) & (size_m * (1.0 + 1e-6) >= MIN_PERIODS * BAND_WAVELENGTHS_M))
+
+
+def measure_octave_heights(
+    height: NDArray[np.floating[Any]], mask: NDArray[np.bool_], metres_per_pixel: float
+) -> Float:
+    """Return the RMS heights (BAND_COUNT + 1,) [m] of a height map (H, W) in octaves of wavelength, longest first.
+
+    The first is of everything longer than the token's bands, less the mean plane; the last includes everything finer.
+    Unlike a token's levels they come from the heights themselves, which no sensor's range limits.
+    """
+    window = compute_window(mask, metres_per_pixel)
+    if not window.any():
+        return np.zeros(BAND_COUNT + 1)
+    values = np.where(mask, np.asarray(height, dtype=np.float64), 0.0)
+    level = (values - evaluate_plane((values.shape[0], values.shape[1]), fit_plane(values, window))) * window
+    grid = _grid((values.shape[0], values.shape[1]), metres_per_pixel)
+    power = np.square(np.abs(np.fft.rfft2(level)))
+    power[:, 1 : (values.shape[1] + 1) // 2] *= 2.0  # bins that also stand for their mirror image
+    octave = np.searchsorted(band_edges_per_metre()[:-1], np.sqrt(grid.square))
+    total = np.bincount(octave.ravel(), power.ravel(), BAND_COUNT + 1)
+    return np.asarray(np.sqrt(total / (values.size * np.square(window).sum())))
+
+
+NOISE_MARGIN = 3.0
+"""Power over that of the noise below which waves are not told from it. Steps of a slope too even to be dithered have
+all their noise in one line; a relief of one step that comes and goes has three times its power."""
+
+
+def find_noise_cutoff(octaves: ArrayLike, noise: float) -> float:
+    """Return the wavelength [m] below which everything together is no more than noise, at an edge of a band.
+
+    Parameters
+    ----------
+    octaves : array_like, shape (BAND_COUNT + 1,)
+        RMS heights (or slopes) of the octaves, longest first, as from `measure_octave_heights`.
+    noise : float
+        RMS of the noise, in their unit.
+
+    Returns
+    -------
+    float
+        The wavelength: 0 if the finest octave shows more than noise, inf if none does.
+    """
+    power = np.square(np.asarray(octaves, dtype=np.float64))
+    finer = np.cumsum(power[::-1])[::-1]
+    significant = np.flatnonzero(finer > NOISE_MARGIN * noise**2)
+    if len(significant) == 0:
+        return float("inf")
+    last = int(significant[-1])
+    return 0.0 if last == BAND_COUNT else float(1.0 / band_edges_per_metre()[last])
 
 
 def get_smooth_token_values() -> NDArray[np.float32]:

@@ -1,7 +1,8 @@
 """Combination of material tokens: a tactile map's wavelength bands with a library's for the rest, and several views.
 
 `fuse` completes a token (feature vector of a surface) from a library material's and states the origin of every band;
-`merge_tokens` averages the tokens of several views of one patch.
+`merge_tokens` averages the tokens of several views of one patch. `is_too_high` tells whether the metres of a relief can
+be believed, and `compute_height_gain` gives its shape the height of a library material.
 """
 
 from __future__ import annotations
@@ -108,6 +109,26 @@ def fuse(
     )
 
 
+def fuse_measured_over_predicted(
+    measured: Token, predicted: Token, prior: ArrayLike, prior_confidence: float
+) -> FusedToken:
+    """Complete a token from a measured map, for the other bands a predicted one, and for what is left a prior.
+
+    The relief of a mesh is measured in long waves; in shorter ones a picture of its surface may show more. The
+    arguments are those of `fuse`.
+    """
+    estimate = fuse(predicted, prior, prior_confidence, Route.PREDICTED)
+    complete = fuse(measured, estimate.values, prior_confidence)
+    routes = tuple(
+        route if route is Route.MEASURED else other
+        for route, other in zip(complete.routes, estimate.routes, strict=True)
+    )
+    shape_route = complete.shape_route if complete.shape_route is Route.MEASURED else estimate.shape_route
+    confidence = float(np.clip(prior_confidence, 0.0, 1.0))
+    mean = sum(ROUTE_CONFIDENCE.get(route, confidence) for route in routes) / BAND_COUNT
+    return FusedToken(complete.values, routes, shape_route, mean)
+
+
 def _blend(measured: NDArray[np.float32], prior: NDArray[np.float32], weight: float) -> NDArray[np.float32]:
     return np.asarray(measured * np.float32(weight) + prior * np.float32(1.0 - weight))
 
@@ -143,21 +164,36 @@ def find_significant_bands(measured: Token) -> list[bool]:
     return [bool(is_significant) for is_significant in known & (levels > least)]
 
 
-def format_routes(routes: Sequence[Route]) -> str:
+FROM_MESH = "measured from the mesh"
+"""Origin of a wavelength band that the mesh itself gives, in texts; its route is `Route.MEASURED`."""
+
+
+def describe_routes(routes: Sequence[Route], mesh_bands: Sequence[bool] = ()) -> list[str]:
+    """Describe the origin of each wavelength band; `mesh_bands` tells which of the measured ones the mesh gives."""
+    from_mesh = mesh_bands or (False,) * len(routes)
+    return [
+        FROM_MESH if is_mesh and route is Route.MEASURED else route.value
+        for route, is_mesh in zip(routes, from_mesh, strict=True)
+    ]
+
+
+def format_routes(routes: Sequence[Route], mesh_bands: Sequence[bool] = ()) -> str:
     """Format the origins of the wavelength bands for a person: "8–2 mm measured, 1–0.125 mm prior"."""
     names = [f"{wavelength * 1e3:g}" for wavelength in BAND_WAVELENGTHS_M]
+    origins = describe_routes(routes, mesh_bands)
     spans = []
-    for route, group in groupby(range(BAND_COUNT), key=lambda band: routes[band]):
+    for origin, group in groupby(range(BAND_COUNT), key=lambda band: origins[band]):
         bands = list(group)
         span = names[bands[0]] if len(bands) == 1 else f"{names[bands[0]]}–{names[bands[-1]]}"
-        spans.append(f"{span} mm {route.value}")
+        spans.append(f"{span} mm {origin}")
     return ", ".join(spans)
 
 
-def routes_by_band(routes: Sequence[Route]) -> dict[str, str]:
+def routes_by_band(routes: Sequence[Route], mesh_bands: Sequence[bool] = ()) -> dict[str, str]:
     """Return the origin of each wavelength band for the report: {"8 mm": "measured", …}, longest wavelength first."""
     return {
-        f"{wavelength * 1e3:g} mm": route.value for wavelength, route in zip(BAND_WAVELENGTHS_M, routes, strict=True)
+        f"{wavelength * 1e3:g} mm": origin
+        for wavelength, origin in zip(BAND_WAVELENGTHS_M, describe_routes(routes, mesh_bands), strict=True)
     }
 
 
@@ -240,3 +276,72 @@ def _validate_values(values: NDArray[np.float32]) -> Float:
     if checked.shape != (TOKEN_DIM,) or not np.isfinite(checked).all():
         raise MaterialError(f"a token must hold {TOKEN_DIM} finite values, not {checked.shape}.")
     return checked
+
+
+LARGEST_HEIGHTS_M = np.array([62e-6, 56e-6, 53e-6, 19e-6, 8.3e-6, 5.7e-6, 2.8e-6])
+"""Largest RMS height [m] that is known of a surface in each wavelength band, longest first.
+
+8 to 2 mm: the groove plate measured by gsmatlab (62, 56, 53 µm; the highest of the library, carpet, has 44 µm); 1 and
+0.5 mm: artificial grass of the library; 0.25 and 0.125 mm: PVC and plywood among the profiles of ThreeDWorld.
+"""
+HEIGHT_MARGIN = 50.0
+"""Factor on `LARGEST_HEIGHTS_M` (34 dB) beyond which no height is believed.
+
+It leaves what is deep and real: a grating 1 mm high at 4 mm pitch, also with vertical walls, and joints of 5 mm in a
+wall. At the limit the RMS slope of a band is 2.4 to 8. No pen climbs so steep a slope: at a friction µ of 0.4 it locks
+from tan α = 1/µ = 2.5 on. What is lower and still too much for a pen at the stroke's speed, `LOUDEST_M_S2` tells.
+"""
+LONGEST_HEIGHT_M = 3.2e-3
+"""Largest believed RMS height of waves longer than all bands [m]: RMS slope 1 on a patch of 20 mm."""
+HEIGHT_LIMITS_M = np.concatenate([[LONGEST_HEIGHT_M], HEIGHT_MARGIN * LARGEST_HEIGHTS_M])
+"""Largest believed RMS height of each octave that `measure_octave_heights` returns [m]."""
+LOUDEST_M_S2 = 100.0
+"""Vibration [m/s² RMS] beyond which a relief's height is not believed: a pen of 10 g pressed with 1 N loses a surface
+that falls away faster than F/m = 100 m/s²."""
+LOUD_ESTIMATE_M_S2 = LOUDEST_M_S2 / 10.0
+"""Estimate (`estimate_loudness`) below which no stroke is so loud: ridges of 1 mm at 4 mm, whose estimate is 8.8, give
+94 m/s² under 20 N."""
+
+
+def is_too_high(octave_heights_m: ArrayLike) -> bool:
+    """Return True if no surface is known to have heights anything like these RMS heights (BAND_COUNT + 1,) [m]."""
+    return bool((np.asarray(octave_heights_m) > HEIGHT_LIMITS_M).any())
+
+
+def compute_height_gain(octave_heights_m: ArrayLike, resolved_wavelength_m: float, library_token: ArrayLike) -> float:
+    """Return the factor that gives a relief the RMS height of a library material in the bands that the relief fills.
+
+    Parameters
+    ----------
+    octave_heights_m : array_like, shape (BAND_COUNT + 1,)
+        RMS heights of the relief, see `measure_octave_heights` [m].
+    resolved_wavelength_m : float
+        Shortest wavelength that its source resolves [m].
+    library_token : array_like, shape (TOKEN_DIM,)
+        Token of the material.
+
+    Returns
+    -------
+    float
+        The factor; 1 for a relief without any wave in the bands.
+    """
+    heights = np.asarray(octave_heights_m, dtype=np.float64)[1:]
+    resolved = resolved_wavelength_m <= BAND_WAVELENGTHS_M / np.sqrt(2.0) * (1.0 + 1e-6)
+    if not resolved.any() or not heights[resolved].max() > 0.0:
+        # Waves longer than the bands: the longest band's height, as that of every longer wave is unknown.
+        total, resolved = float(np.sqrt(np.sum(np.square(octave_heights_m)))), np.arange(BAND_COUNT) == 0
+    else:
+        filled = resolved & (heights > heights[resolved].max() * 10.0**-SIGNIFICANT_DECADES)
+        resolved, total = filled, float(np.sqrt(np.sum(np.square(heights[filled]))))
+    levels = np.asarray(library_token, dtype=np.float64)[LEVELS][resolved]
+    return float(np.sqrt(np.sum(10.0 ** (2.0 * levels))) / total) if total > 0.0 else 1.0
+
+
+def estimate_loudness(token: ArrayLike, speed_m_s: float) -> float:
+    """Estimate the vibration [m/s² RMS] of a tip that follows all waves of a token at a speed [m/s].
+
+    Each band of RMS height h gives (2π v/λ)² h. It is meant to find the few surfaces worth a closer look; pressed with
+    20 N, ridges give up to eleven times as much.
+    """
+    heights = 10.0 ** np.asarray(token, dtype=np.float64)[LEVELS]
+    return float(np.sqrt(np.sum(np.square((2.0 * np.pi * speed_m_s / BAND_WAVELENGTHS_M) ** 2 * heights))))

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import MaterialError
-from ..text import close_matches
+from ..errors import MaterialError, close_matches
 from .contact_model import Mechanics
 from .token import ENCODER_ID, TOKEN_DIM
 

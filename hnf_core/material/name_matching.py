@@ -1,7 +1,7 @@
 """Evidence for materials in names: words of materials, objects, collections and image files, in several languages.
 
 Names are split into words, compounds into halves, and each library material gets the words that match it with weights.
-`ranking.py` turns them into probabilities.
+The word for the stuff outweighs the word for the thing. `ranking.py` turns the weights into probabilities.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -23,9 +24,15 @@ STOP_WORDS = frozenset(
     {
         *("mat", "mats", "mtl", "material", "materials", "shader", "tex", "texture"),
         *("low", "high", "lod", "geo", "geometry", "mesh", "obj", "object", "part", "parts"),
+        *("pbr", "principled", "bsdf", "cc", "workflow", "default", "standard"),
     }
 )
-"""Words that mean "material" or "object" in any name: the mat in "HoseMat" is no door mat."""
+"""Words that mean "material", "object" or a way of working in any name: the mat in "HoseMat" is no door mat."""
+WORKFLOW_PHRASES = (
+    *(("metallic", "roughness"), ("metalness", "roughness"), ("metal", "roughness"), ("metallic", "rough")),
+    *(("specular", "glossiness"), ("uv", "checker"), ("uv", "grid"), ("uv", "map")),
+)
+"""Pairs of words that name a way of working or a test picture, not a material."""
 
 CATEGORY_WORDS = MappingProxyType(
     {
@@ -72,7 +79,7 @@ CATEGORY_WORDS = MappingProxyType(
         "kunstleder daim gamuza cuoio camoscio couro piel",
         "rubber": "rubber latex silicone neoprene gummi caoutchouc goma gomma ebonite kautschuk silikon caucho "
         "elastomer vulcanized borracha",
-        "glass": "glass glas crystal verre vidrio vetro plexiglass vitre cristal vidro glazing windowpane",
+        "glass": "glass glas crystal verre vidrio vetro vitre cristal vidro glazing windowpane",
     }
 )
 """Names of materials by category, in several languages."""
@@ -115,6 +122,31 @@ OBJECT_WORDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 """Objects and the categories of material that they are mostly made of: weaker evidence."""
+
+TREES = frozenset(
+    {
+        *("oak", "pine", "walnut", "maple", "birch", "beech", "cherry", "ash", "cedar", "bamboo", "spruce", "fir"),
+        *("sycamore", "poplar", "larch", "chestnut", "hickory", "eiche", "eichen", "buche", "buchen", "kiefer"),
+        *("ahorn", "birke", "esche", "chene", "hetre", "noyer", "erable", "roble", "nogal", "quercia", "noce"),
+    }
+)
+"""Words for wood that are trees too."""
+PLANT_PARTS = frozenset(
+    {
+        *("leaf", "leave", "leaves", "foliage", "needle", "needles", "blossom", "blossoms", "flower", "flowers"),
+        *("acorn", "acorns", "nut", "nuts", "twig", "twigs", "sapling", "blatt", "blatter", "laub", "feuille", "hoja"),
+    }
+)
+"""Parts of a plant that are not of wood: with them, a tree is no word for wood."""
+FINISHES = frozenset(
+    {
+        *("lacquered", "polished", "raw", "satin", "coated", "enamel", "stamped", "checker", "diamond", "blasted"),
+        *("sandblasted", "weathered", "corroded", "oxidized", "glossy", "matte", "grained", "grooved", "ridged"),
+        *("etched", "translucent", "milky", "faux", "unglazed", "paint", "knit", "wire", "screen", "grit", "twill"),
+    }
+)
+"""Words of library materials for how a stuff is made or finished; with parts of materials' names and the words of
+`CATEGORY_WORDS`, all that are not words for things."""
 
 COMPOUND_PARTS = frozenset(
     {
@@ -216,9 +248,12 @@ OBJECT_WORD_WEIGHT = 0.55
 """Weight of words for objects and finishes: a lens is mostly glass, satin is often metal."""
 NAME_PART_WEIGHT = 0.4
 """Weight of the single words of a library material's name: "coarse" is weak evidence for coarse-carpet."""
-RELATED_WEIGHT = 0.7
+RELATED_WEIGHT = 0.4
 """Weight of a general word for materials of a category in which another material has the word as its own: velvet is
 fabric, but not denim."""
+OBJECT_FACTOR = 0.15
+"""Factor on the weight of words for objects where a name has a word for another stuff: a suede shoe is of suede, and
+shoes are of leather otherwise."""
 MIN_HALF_LENGTH = 4
 """Least number of letters of each half of a compound; shorter words occur inside unrelated ones."""
 COMPOUND_LINKS = ("", "n", "s", "en", "es")
@@ -250,9 +285,11 @@ def match_names(library: Sequence[LibraryMaterial], names: Sequence[str], image_
 
     Notes
     -----
-    A word that fits materials of several categories weighs less; one that fits all categories weighs nothing.
+    A word that fits materials of several categories weighs less; one that fits all categories weighs nothing. Beside
+    words for another stuff, those for objects hardly count, and neither do trees beside parts of plants.
     """
     vocabulary = build_vocabulary(library)
+    qualities = FINISHES | {part for material in library for part in material.name.split("-")}
     category = {material.name: material.category for material in library}
     count = len(set(category.values()))
     weighted_names = [
@@ -260,14 +297,23 @@ def match_names(library: Sequence[LibraryMaterial], names: Sequence[str], image_
     ]
     weighted_names += [(name, split_image_name(name), IMAGE_NAME_WEIGHT) for name in image_names]
     hits: Hits = {material.name: {} for material in library}
-    for name, parts, name_weight in weighted_names:
-        for word in _find_matches(parts, vocabulary):
-            spread = len({category[material] for material in vocabulary[word]})
-            specificity = 1.0 if count < 2 else 1.0 - math.log(spread) / math.log(count)
-            for material, weight in vocabulary[word].items():
-                total = name_weight * specificity * weight
-                if total > hits[material].get(word, (0.0, ""))[0]:
-                    hits[material][word] = (total, name)
+    matches = [
+        (name, name_weight, word)
+        for name, parts, name_weight in weighted_names
+        for word in _find_matches(parts, vocabulary)
+        if not (word in TREES and PLANT_PARTS.intersection(parts))
+    ]
+    stuffs = [vocabulary[word] for _, _, word in matches if word in MATERIAL_WORDS]
+    for name, name_weight, word in matches:
+        spread = len({category[material] for material in vocabulary[word]})
+        specificity = 1.0 if count < 2 else 1.0 - math.log(spread) / math.log(count)
+        names_object = bool(stuffs) and word not in MATERIAL_WORDS and not qualities.intersection(word.split())
+        for material, weight in vocabulary[word].items():
+            total = name_weight * specificity * weight
+            if names_object and not any(stuff.get(material, 0.0) >= 1.0 for stuff in stuffs):
+                total *= OBJECT_FACTOR
+            if total > hits[material].get(word, (0.0, ""))[0]:
+                hits[material][word] = (total, name)
     return hits
 
 
@@ -331,7 +377,8 @@ def _find_matches(parts: Sequence[str], vocabulary: Vocabulary) -> list[str]:
 
     `parts` are the words of the name in order.
     """
-    words = [word for word in parts if word not in STOP_WORDS]
+    working = {word for pair in pairwise(parts) if pair in WORKFLOW_PHRASES for word in pair}
+    words = [word for word in parts if word not in STOP_WORDS and word not in working]
     matches: list[str] = []
     for length in (1, 2, 3):
         for start in range(len(words) - length + 1):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..errors import FileError, MaterialError
 from ..files import content_hash
 from ..safetensors_io import pack_header, split_header
-from .contact_model import MECHANICS_NAMES, Mechanics
+from .contact_model import LEARNED_MECHANICS, MECHANICS_NAMES, Mechanics
 from .token import ENCODER_ID, ENCODER_NAMES, TOKEN_DIM, joined_encoders, split_encoders
 
 PALETTE_SCHEMA = 1
@@ -20,6 +20,8 @@ MERGE_TOLERANCE = 0.01
 """Largest difference of any token feature at which materials merge: 0.01 of a level is 0.2 dB of height, well below
 what can be felt."""
 _KIND = "hnf-palette"
+_PROPERTY_COUNTS = (len(LEARNED_MECHANICS), len(MECHANICS_NAMES) - 1, len(MECHANICS_NAMES))
+"""Properties a material in palettes of version 0.1, in those without a scatter of pitch, and today."""
 _REMEDY = "Bake the object again."
 
 
@@ -81,7 +83,7 @@ class Palette:
             "__metadata__": {**facts, "digest": self.content_hash},
             "mechanics": {
                 "dtype": "F64",
-                "shape": [len(self), len(MECHANICS_NAMES)],
+                "shape": [len(self), self._property_count],
                 "data_offsets": [0, len(mechanics)],
             },
             "tokens": {
@@ -119,6 +121,16 @@ class Palette:
             )
         return palette
 
+    @property
+    def _property_count(self) -> int:
+        """Number of properties written: as many as are known, so that older palettes keep their bytes."""
+        known = [
+            index
+            for index, name in enumerate(MECHANICS_NAMES)
+            if any(getattr(entry, name) is not None for entry in self.mechanics)
+        ]
+        return next(width for width in _PROPERTY_COUNTS if width > max(known, default=0))
+
     def _serialise_parts(self) -> tuple[dict[str, str], bytes, bytes]:
         facts = {
             "kind": _KIND,
@@ -127,8 +139,12 @@ class Palette:
             "names": json.dumps(list(self.names)),
         }
         table = np.array(
-            [[_or_nan(getattr(entry, field)) for field in MECHANICS_NAMES] for entry in self.mechanics], dtype="<f8"
-        ).reshape(len(self), len(MECHANICS_NAMES))
+            [
+                [_or_nan(getattr(entry, name)) for name in MECHANICS_NAMES[: self._property_count]]
+                for entry in self.mechanics
+            ],
+            dtype="<f8",
+        ).reshape(len(self), self._property_count)
         return facts, self.tokens.astype("<f4").tobytes(), table.tobytes()
 
 
@@ -192,15 +208,21 @@ def _or_nan(value: float | None) -> float:
 
 
 def _unpack_palette(data: bytes) -> tuple[dict[str, str], NDArray[np.float32], NDArray[np.float64]]:
-    """Return metadata, tokens (P, TOKEN_DIM), mechanics (P, 3); raise ValueError, KeyError or TypeError if damaged."""
+    """Return metadata, tokens (P, TOKEN_DIM) and mechanics (P, properties).
+
+    Raises ValueError, KeyError or TypeError.
+    """
     header, body = split_header(data)
     facts = dict(header["__metadata__"])
     if facts["kind"] != _KIND:
         raise ValueError("it is something else")
     count = int(header["tokens"]["shape"][0])
-    middle = count * len(MECHANICS_NAMES) * 8
+    width = int(header["mechanics"]["shape"][1])
+    middle = count * width * 8
+    if width not in _PROPERTY_COUNTS:
+        raise ValueError(f"it has {width} properties a material")
     if count < 0 or len(body) != middle + count * TOKEN_DIM * 4:
         raise ValueError("its arrays have unexpected shapes")
-    table = np.frombuffer(body, dtype="<f8", count=count * len(MECHANICS_NAMES)).reshape(count, len(MECHANICS_NAMES))
+    table = np.frombuffer(body, dtype="<f8", count=count * width).reshape(count, width)
     values = np.frombuffer(body, dtype="<f4", offset=middle).reshape(count, TOKEN_DIM)
     return facts, values.astype(np.float32), table.astype(np.float64)

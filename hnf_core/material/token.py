@@ -7,7 +7,7 @@ level      log10 of the band's RMS height in metres
 cos2 sin2  Σ P cos 2θ / Σ P, Σ P sin 2θ / Σ P      two-fold anisotropy (wood grain, brushed metal)
 cos4 sin4  the same with 4θ                         four-fold anisotropy (plain weave, knurl)
 peak       fraction of the band's power in its strongest peak and its mirror image: 0 noise … 1 a pure grating
-offset     log2(κ_peak / κ_band), −0.5 … 0.5         position of that peak in the band
+offset     log2(κ_peak / κ_band), −0.5 … 0.5         position of that peak, times peak / 0.3 of a weaker one
 
 and two statistics of the resolved height field: skewness (pits below 0, grains above) and log10 kurtosis / 3.
 """
@@ -24,6 +24,8 @@ BAND_WAVELENGTHS_M = np.array([8e-3, 4e-3, 2e-3, 1e-3, 0.5e-3, 0.25e-3, 0.125e-3
 """Centre wavelengths of the bands [m]; each band spans half an octave to either side."""
 
 BAND_FEATURES = ("level", "cos2", "sin2", "cos4", "sin4", "peak", "offset")
+CLEAR_PEAK_SHARE = 0.3
+"""Peak from which its offset is given in full; below, it is scaled down by peak / CLEAR_PEAK_SHARE."""
 SHAPE_FEATURES = ("skewness", "log_kurtosis")
 TOKEN_NAMES = (
     tuple(f"{feature}@{wavelength * 1e3:g}mm" for wavelength in BAND_WAVELENGTHS_M for feature in BAND_FEATURES)

@@ -22,20 +22,22 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.contact_model import Mechanics, contact_stiffness, surface_stiffness_at_1n, with_defaults
+from ..material.contact_model import (
+    STATIC_OVER_KINETIC,
+    STRIBECK_SPEED_M_S,
+    Mechanics,
+    compute_bristles,
+    surface_stiffness_at_1n,
+    with_defaults,
+)
 from ..material.probe import Probe
 from .surface_recipe import TILE_SIZE_M, wavenumbers
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-STATIC_OVER_KINETIC = 1.5
-"""Static over kinetic friction F_S / F_C, Canudas de Wit et al. 1995, table I (1.5 N over 1 N)."""
-STRIBECK_SPEED_M_S = 1e-3
-"""Stribeck speed v_s, ibid. [m/s]. A stroke at 100 mm/s is a hundred times faster, so the kinetic μ of the material
-table applies."""
-TANGENTIAL_OVER_NORMAL = 2.0 * (1.0 - 0.3) / (2.0 - 0.3)
-"""Tangential over normal stiffness of a Hertzian contact at ν = 0.3 (R. D. Mindlin 1949, J. Appl. Mech. 16)."""
+LEAST_FRICTION = 1e-6
+"""Friction below which there is none, so that nothing is divided by it."""
 CREEP_SPEED_M_S = 2e-3
 """Sliding speed at which regularised Coulomb friction reaches 1/√2 of its value [m/s] (S. Andersson, A. Söderberg & S.
 Björklund 2007, Tribology International 40)."""
@@ -62,15 +64,9 @@ class Bristles:
 
 
 def derive_bristles(mechanics: Sequence[Mechanics], probe: Probe) -> Bristles:
-    """Derive LuGre's σ0 by Mindlin from the normal stiffness at 1 N, and σ1 from the normal damping ratio ζ."""
-    normal = [
-        float(contact_stiffness(entry, probe, 1.0)) if probe.soft_tip else surface_stiffness_at_1n(entry, probe)
-        for entry in mechanics
-    ]
-    known = [with_defaults(entry) for entry in mechanics]
-    stiffness = TANGENTIAL_OVER_NORMAL * np.array(normal)
-    damping = 2.0 * np.array([entry.damping_ratio for entry in known]) * np.sqrt(stiffness * probe.mass_kg)
-    return Bristles(np.array([entry.friction for entry in known]), stiffness, damping)
+    """Derive the constants of each contact; see contact_model.compute_bristles."""
+    stiffness, damping = np.array([compute_bristles(entry, probe) for entry in mechanics]).T
+    return Bristles(np.array([with_defaults(entry).friction for entry in mechanics]), stiffness, damping)
 
 
 class FrictionLaw(Protocol):
@@ -84,6 +80,10 @@ class FrictionLaw(Protocol):
         self, sliding: Float, flank_friction: Float, surface_slope: Float, touching: Mask
     ) -> tuple[Float, Float]:
         """Return a (2, B), b (B,) [s/m] of the friction force per load a + b v_new; see `LuGre.linearise`."""
+        ...
+
+    def measure_grip(self, fluctuation: Float, touching: Mask) -> Float:
+        """Return the load (B,) [N] that a fluctuation of the friction force (B,) [N] is worth; after `linearise`."""
         ...
 
     def update(self, sliding: Float) -> None:
@@ -155,6 +155,18 @@ class LuGre:
         gain = 1.0 + self._damped
         return gain * self._predicted_force - self._damped * self.force, gain * self._velocity_gain
 
+    def measure_grip(self, fluctuation: Float, touching: Mask) -> Float:
+        """Return the load (B,) [N] that a fluctuation of the friction force (B,) [N] is worth; after `linearise`.
+
+        While the tip slides, the friction force grows by the fluctuation itself. While it sticks, the bristles' spring
+        grows in proportion, so that a fluctuation never drives a tip at rest, as a force along its velocity would.
+        """
+        bent = self.force[0] * self.force[0]
+        bent += self.force[1] * self.force[1]
+        np.sqrt(bent, out=bent)
+        np.maximum(bent, np.maximum(self._friction, LEAST_FRICTION), out=bent)
+        return np.asarray(fluctuation * touching / bent)
+
     def update(self, sliding: Float) -> None:
         """Update the bristles by the new sliding velocity (2, B) [m/s]."""
         self.force = self._predicted_force + self._velocity_gain * sliding
@@ -177,6 +189,10 @@ class Coulomb:
         flank = (surface_slope * sliding).sum(axis=0) * flank_friction / speed
         return np.zeros_like(sliding), np.maximum(self._friction + flank, 0.0) / speed
 
+    def measure_grip(self, fluctuation: Float, touching: Mask) -> Float:
+        """Return the load (B,) [N] that a fluctuation of the friction force (B,) [N] is worth."""
+        return np.asarray(fluctuation * touching / np.maximum(self._friction, LEAST_FRICTION))
+
     def update(self, sliding: Float) -> None:
         """Do nothing, since this law has no state."""
 
@@ -185,10 +201,6 @@ FRICTION_LAWS: dict[str, type[FrictionLaw]] = {"lugre": LuGre, "coulomb": Coulom
 """Friction laws by name."""
 
 
-HAND_STIFFNESS_N_M = 500.0
-"""Lateral stiffness of a hand that holds a tool [N/m] (A. Z. Hajian & R. D. Howe 1997, J. Biomech. Eng. 119)."""
-HAND_DAMPING_RATIO = 0.4
-"""Lateral damping ratio of the hand (ibid.)."""
 HAND_DRAG_PER_S = 10.0
 """Drag of the hand along the normal, per mass [1/s]: it only slows free flight, far below the contact's own damping."""
 
@@ -203,10 +215,16 @@ class Physics:
         Friction law; Coulomb has no bristles and no Stribeck curve.
     unilateral : bool
         True if the contact only pushes (N ≥ 0); else the spring also pulls, and the probe never leaves the surface.
+    friction_noise : bool
+        True if the friction force fluctuates by itself.
+    body : bool
+        True if the probe's body has its resonances; else it is rigid.
     """
 
     friction: str = "lugre"
     unilateral: bool = True
+    friction_noise: bool = True
+    body: bool = True
 
     def __post_init__(self) -> None:
         if self.friction not in FRICTION_LAWS:
@@ -232,9 +250,9 @@ class ContactMotion:
     sliding_m_s: Float
 
 
-DRIVE_COUNT = 7
+DRIVE_COUNT = 8
 """Number of inputs of the contact simulation (drives), in this order: height [m], slopes along x and y, the hand's
-velocity x and y [m/s], force [N], rise of friction with slope."""
+velocity x and y [m/s], force [N], rise of friction with slope, fluctuation of the friction force [N]."""
 
 
 def integrate_contact(
@@ -271,8 +289,8 @@ def integrate_contact(
     # Hertz in series with the probe's own spring: δ = b s² + s³/k_probe with s = N^(1/3).
     b = 1.5 / np.array([surface_stiffness_at_1n(entry, probe) for entry in mechanics])
     inverse_mass = 1.0 / probe.mass_kg
-    hand_spring = HAND_STIFFNESS_N_M * inverse_mass
-    hand_damper = 2.0 * HAND_DAMPING_RATIO * np.sqrt(hand_spring)
+    hand_spring = probe.hand_stiffness_n_m * inverse_mass
+    hand_damper = 2.0 * probe.hand_damping_ratio * np.sqrt(hand_spring)
     friction: FrictionLaw | None = None
     for drives in blocks:
         height, slope, velocity = drives[0, 1:-1], drives[1:3, 1:-1], drives[3:5, 1:-1]
@@ -285,7 +303,7 @@ def integrate_contact(
             load = np.cbrt(force[0])
             z, vz = height[0] - (b * load**2 + load**3 / probe.stiffness_n_m), climb[0].copy()
             friction = FRICTION_LAWS[physics.friction](derive_bristles(mechanics, probe), velocity[:, 0], dt)
-            lateral = -force[0] * friction.force / HAND_STIFFNESS_N_M
+            lateral = -force[0] * friction.force / probe.hand_stiffness_n_m
             v_lateral = np.zeros_like(lateral)
         steps, rows = height.shape
         acceleration = np.empty((steps, 3, rows))
@@ -315,8 +333,14 @@ def integrate_contact(
             impulse *= dt * inverse_mass
             sliding = velocity[:, i] + v_lateral
             constant, linear = friction.linearise(sliding, flank_friction[i], slope[:, i], touching)
+            grip = friction.measure_grip(drives[7, i + 1], touching)
+            grip *= dt * inverse_mass
+            np.maximum(grip, -impulse, out=grip)
+            fluctuation = constant * grip
             constant += slope[:, i]
             constant *= impulse
+            constant += fluctuation
+            impulse += grip
             linear *= impulse
             linear += 1.0
             new_sliding = np.subtract(sliding, constant, out=slidings[i])

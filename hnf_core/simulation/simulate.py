@@ -4,22 +4,33 @@ Along the normal: a mass on a Hertzian contact in series with the probe's own sp
 tangent stiffness (Tsuji et al. 1992), and no pull, N ≥ 0, so that a light stroke on a rough surface hops. Linearised
 about a constant load it equals `material.contact_model`. Tangentially: friction (`contact_dynamics`) and the normal
 force's slope component −N ∇h, on the same mass held by the hand's spring and damper (A. Z. Hajian & R. D. Howe 1997, J.
-Biomech. Eng. 119: some hundred N/m, a few N·s/m).
+Biomech. Eng. 119: some hundred N/m, a few N·s/m). The friction force also fluctuates by itself along the path, a random
+function of place with a power-law spectrum (`contact_model.friction_noise_power`). All axes pass through the resonances
+of the probe's body.
 
-Not modelled: lateral motion of the tip over the texture (it follows the hand's path), sensor noise, the hand's own
-macroscopic acceleration, and resonances of the probe's body.
+Not modelled: the ridges of a fingertip and their force noise (`field.force_noise` has them in closed form), lateral
+motion of the tip over the texture (it follows the hand's path), sensor noise, and the hand's own macroscopic
+acceleration.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.contact_model import Mechanics, contact_radius
-from ..material.probe import PROBES, Probe
+from ..material.contact_model import (
+    FRICTION_NOISE_FORCE_EXPONENT,
+    FRICTION_NOISE_WAVENUMBER,
+    Mechanics,
+    body_response,
+    contact_radius,
+    with_defaults,
+)
+from ..material.probe import BodyMode, Probe, get_probe
 from .contact_dynamics import (
     DRIVE_COUNT,
     ContactMotion,
@@ -27,6 +38,7 @@ from .contact_dynamics import (
     SmoothedMaps,
     integrate_contact,
 )
+from .surface_recipe import Noise, SurfaceRecipe, height_map
 
 Float = NDArray[np.float64]
 BLOCK_SAMPLES = 128
@@ -36,14 +48,24 @@ SAMPLE_RATE_HZ = 10_000.0
 ASPERITY_SHARE = 0.5
 """Radius of the load-bearing asperities, which follow the slopes, over the Hertz radius: the real area of contact is a
 fraction of the nominal one (F. P. Bowden & D. Tabor 1950; J. F. Archard 1957)."""
-FLANK_FRICTION = 3.0
+FLANK_FRICTION = 2.0
 """Rise of the friction coefficient per unit of slope against the motion: a sliding tip leans on the flanks that it
-climbs (Bowden & Tabor's interlocking), less the more its contact of radius a conforms, by the factor (1 − a/R)². It was
-fitted together with the form of that factor, `ASPERITY_SHARE` and the pen's tip radius, so that speed and force have
-about the effect that they have in recorded textures (HaTT). All materials share one value, which was not checked on
-held-out ones."""
+climbs (Bowden & Tabor's interlocking), less the more its contact of radius a conforms, by the factor (1 − a/R)². Fitted
+together with the hand's damping, the pen's body and the force noise to 50 recorded textures (HaTT); the 95 % interval
+over textures is 1.1 to 2.8."""
 FULL_PHYSICS = Physics()
 """Simulation with all physical effects."""
+LEARNED_PHYSICS = Physics(friction_noise=False, body=False)
+"""Effects that F_Θ learns; the others are linear and have a closed form (`field.force_noise`)."""
+PEN = get_probe("pen")
+"""The recorded stylus."""
+FRICTION_SEED = 20_13
+"""Seed of the map of friction; its fluctuation is independent of the relief."""
+FRICTION_TILE_M, FRICTION_PIXELS = 10e-3, 1024
+"""Side of the map of friction [m], and its pixels: finer than the relief's, since force noise reaches the highest
+frequencies of slow strokes."""
+RING_LEVEL, MAX_RING_S = 1e-6, 10.0
+"""Level to which resonances of the probe's body have decayed where they are cut off, but at most so late [s]."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +95,7 @@ def simulate_batch(
     maps: Sequence[SmoothedMaps],
     strokes: Sequence[Stroke],
     mechanics: Sequence[Mechanics],
-    probe: Probe = PROBES["pen"],
+    probe: Probe = PEN,
     *,
     oversample: int = 2,
     physics: Physics = FULL_PHYSICS,
@@ -112,14 +134,15 @@ def simulate_batch(
     blocks = [
         motion.acceleration for motion in _integrate_strokes(maps, strokes, mechanics, probe, oversample, physics)
     ]
-    return decimate(np.concatenate(blocks), oversample)
+    acceleration = decimate(np.concatenate(blocks), oversample)
+    return _filter_by_body(acceleration, probe) if physics.body and probe.body_modes else acceleration
 
 
 def simulate_motion(
     maps: Sequence[SmoothedMaps],
     strokes: Sequence[Stroke],
     mechanics: Sequence[Mechanics],
-    probe: Probe = PROBES["pen"],
+    probe: Probe = PEN,
     *,
     oversample: int = 2,
     physics: Physics = FULL_PHYSICS,
@@ -137,7 +160,7 @@ def simulate(
     surface: SmoothedMaps,
     stroke: Stroke,
     mechanics: Mechanics,
-    probe: Probe = PROBES["pen"],
+    probe: Probe = PEN,
     *,
     oversample: int = 2,
     physics: Physics = FULL_PHYSICS,
@@ -159,7 +182,7 @@ def _integrate_strokes(
     _validate_batch(maps, strokes, mechanics, oversample)
     drives = np.empty((DRIVE_COUNT, len(strokes[0].force), len(maps)))
     for index, row in enumerate(zip(maps, strokes, mechanics, strict=True)):
-        drives[:, :, index] = _compute_drives(*row, probe)
+        drives[:, :, index] = _compute_drives(*row, probe, physics)
     dt = 1.0 / (SAMPLE_RATE_HZ * oversample)
     return integrate_contact(oversample_blocks(drives, oversample), mechanics, probe, dt, physics)
 
@@ -178,7 +201,47 @@ def _validate_batch(
         raise ValueError("a stroke's positions and forces must be finite.")
 
 
-def _compute_drives(surface: SmoothedMaps, stroke: Stroke, mechanics: Mechanics, probe: Probe) -> Float:
+def _filter_by_body(acceleration: Float, probe: Probe) -> Float:
+    """Return accelerations (B, n, 3) at `SAMPLE_RATE_HZ` as the resonant body of the probe moves."""
+    decay_per_s = min(_compute_decay(mode) for mode in probe.body_modes)
+    ringing_s = min(-np.log(RING_LEVEL) / decay_per_s, MAX_RING_S)
+    count = acceleration.shape[1] + int(np.ceil(ringing_s * SAMPLE_RATE_HZ))
+    response = body_response(np.fft.rfftfreq(count, 1.0 / SAMPLE_RATE_HZ), probe)
+    spectrum = np.fft.rfft(acceleration, count, axis=1) * response[None, :, None]
+    return np.asarray(np.fft.irfft(spectrum, count, axis=1)[:, : acceleration.shape[1]])
+
+
+def _compute_decay(mode: BodyMode) -> float:
+    """Return the decay rate of a resonance [1/s], of the slower part if it is overdamped."""
+    slower = mode.damping_ratio - np.sqrt(max(mode.damping_ratio**2 - 1.0, 0.0))
+    return float(2.0 * np.pi * mode.frequency_hz * slower)
+
+
+@lru_cache(maxsize=16)
+def make_friction_map(slope: float) -> SmoothedMaps:
+    """Make a map of unit fluctuation: RMS 1 in the octave about `FRICTION_NOISE_WAVENUMBER` along any path.
+
+    slope: exponent β of the spectrum κ^−β along a path. Its waves are 20 µm to 10 mm long.
+    """
+    noise = Noise(1.0, slope, rolloff_m=FRICTION_TILE_M, cutoff_m=0.0)
+    fluctuation = height_map(SurfaceRecipe((noise,)), FRICTION_SEED, pixels=FRICTION_PIXELS, size_m=FRICTION_TILE_M)
+    paths = np.concatenate([fluctuation, fluctuation.T]).astype(np.float64)
+    power = np.mean(np.square(np.abs(np.fft.rfft(paths, axis=1))), axis=0) * 2.0 / FRICTION_PIXELS**2
+    wavenumber = np.arange(len(power)) / FRICTION_TILE_M
+    octave = np.abs(np.log2(np.maximum(wavenumber, 1e-9) / FRICTION_NOISE_WAVENUMBER)) <= 0.5
+    return SmoothedMaps(fluctuation / np.float32(np.sqrt(power[octave].sum())), FRICTION_TILE_M)
+
+
+def _friction_noise(position: Float, force: Float, mechanics: Mechanics) -> Float:
+    """Return a stiff tip's fluctuation of friction (n,) [N] at positions (n, 2) [m], for forces (n,) [N]."""
+    known = with_defaults(mechanics)
+    unit = make_friction_map(round(known.friction_noise_slope, 2)).sample(position, 0.0)[0]
+    return np.asarray(known.friction_noise_n * unit * force**FRICTION_NOISE_FORCE_EXPONENT)
+
+
+def _compute_drives(
+    surface: SmoothedMaps, stroke: Stroke, mechanics: Mechanics, probe: Probe, physics: Physics
+) -> Float:
     """Compute the inputs (DRIVE_COUNT, n) of the contact simulation over one stroke: heights, slopes, velocity, force.
 
     Their order is that of `contact_dynamics.DRIVE_COUNT`.
@@ -190,7 +253,9 @@ def _compute_drives(surface: SmoothedMaps, stroke: Stroke, mechanics: Mechanics,
     height = _sample_at_radius(surface, position, radius)[0]
     slopes = _sample_at_radius(surface, position, ASPERITY_SHARE * radius)[1:]
     flank_friction = FLANK_FRICTION * np.square(1.0 - radius / probe.tip_radius_m)
-    return np.stack([height, *slopes, *velocity.T, force, flank_friction])
+    has_noise = physics.friction_noise and probe.pad is None
+    noise = _friction_noise(position, force, mechanics) if has_noise else np.zeros_like(force)
+    return np.stack([height, *slopes, *velocity.T, force, flank_friction, noise])
 
 
 def _sample_at_radius(surface: SmoothedMaps, position: Float, radius: Float) -> Float:

@@ -197,15 +197,30 @@ def _filtered_noise(rng: np.random.Generator, gain: Float, pixels: int) -> Float
     return np.fft.irfft2(np.fft.rfft2(rng.standard_normal((pixels, pixels))) * gain, (pixels, pixels))
 
 
-def _render_noise(noise: Noise, rng: np.random.Generator, pixels: int, size_m: float) -> Float:
+def noise_power(noise: Noise, pixels: int, size_m: float) -> Float:
+    """Return the relative power (pixels, pixels // 2 + 1) of a noise in the rfft2 bins of a map."""
     kx, ky = wavenumbers(pixels, size_m)
     along = kx * np.cos(noise.angle_rad) + ky * np.sin(noise.angle_rad)
     across = -kx * np.sin(noise.angle_rad) + ky * np.cos(noise.angle_rad)
     kappa2 = np.square(along * noise.stretch) + np.square(across)
-    # A profile's κ^−β corresponds to a surface's κ^−(β+1) in power; the amplitude is its root.
+    # A profile's κ^−β corresponds to a surface's κ^−(β+1) in power.
     power = (1.0 + kappa2 * noise.rolloff_m**2) ** (-(noise.slope + 1.0) / 2.0)
-    gain = np.sqrt(power) * np.exp(-0.5 * (np.square(kx) + np.square(ky)) * noise.cutoff_m**2)
-    return _filtered_noise(rng, gain, pixels)
+    return np.asarray(power * np.exp(-(np.square(kx) + np.square(ky)) * noise.cutoff_m**2))
+
+
+def get_pitch(lattice: Lattice) -> float:
+    """Return the wavelength [m] of a lattice's strongest wave."""
+    x, y = max(lattice.waves, key=lambda wave: abs(wave[2]))[:2]
+    return float(TILE_SIZE_M / np.hypot(x, y))
+
+
+def get_pitch_scatter(lattice: Lattice) -> float:
+    """Return the RMS displacement [m] of a lattice along each axis."""
+    return float(lattice.irregularity * TILE_SIZE_M / max(np.hypot(x, y) for x, y, *_ in lattice.waves))
+
+
+def _render_noise(noise: Noise, rng: np.random.Generator, pixels: int, size_m: float) -> Float:
+    return _filtered_noise(rng, np.sqrt(noise_power(noise, pixels, size_m)), pixels)
 
 
 def _render_lattice(lattice: Lattice, rng: np.random.Generator, pixels: int, size_m: float) -> Float:
@@ -218,10 +233,9 @@ def _render_lattice(lattice: Lattice, rng: np.random.Generator, pixels: int, siz
     grid = np.arange(pixels) * (size_m / pixels)
     x, y = np.broadcast_to(grid[None, :], (pixels, pixels)), np.broadcast_to(-grid[:, None], (pixels, pixels))
     if lattice.irregularity > 0.0:
-        pitch = size_m / max(float(np.hypot(wave[0], wave[1])) for wave in lattice.waves)
         kx, ky = wavenumbers(pixels, size_m)
         smooth = np.exp(-0.5 * (np.square(kx) + np.square(ky)) * lattice.irregularity_m**2)
-        shift = lattice.irregularity * pitch
+        shift = get_pitch_scatter(lattice) * (size_m / TILE_SIZE_M)
         x = x + _scale_to_rms(_filtered_noise(rng, smooth, pixels), shift)
         y = y + _scale_to_rms(_filtered_noise(rng, smooth, pixels), shift)
     height = np.zeros((pixels, pixels))

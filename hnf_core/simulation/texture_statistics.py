@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..material.contact_model import Mechanics
-from ..material.probe import PROBES, Probe
+from ..material.probe import Probe
+from ..signal import dft321
 from .contact_dynamics import Physics, SmoothedMaps
-from .dft321 import dft321
-from .simulate import FULL_PHYSICS, SAMPLE_RATE_HZ, simulate_batch, straight_stroke
+from .simulate import FULL_PHYSICS, PEN, SAMPLE_RATE_HZ, simulate_batch, straight_stroke
 
 Float = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def compute_texture_statistics(
     surfaces: Sequence[tuple[SmoothedMaps, Mechanics]],
     duration_s: float = 1.0,
     *,
-    probe: Probe = PROBES["pen"],
+    probe: Probe = PEN,
     physics: Physics = FULL_PHYSICS,
     oversample: int = 2,
 ) -> list[TextureStatistics]:
@@ -77,7 +77,7 @@ def simulate_strokes(
     surfaces: Sequence[tuple[SmoothedMaps, Mechanics]],
     duration_s: float = 1.0,
     *,
-    probe: Probe = PROBES["pen"],
+    probe: Probe = PEN,
     physics: Physics = FULL_PHYSICS,
     oversample: int = 2,
 ) -> tuple[Float, Float]:

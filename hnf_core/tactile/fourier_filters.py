@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +107,79 @@ def apply_filters(
     inside = slice(pad_rows, pad_rows + rows), slice(pad_columns, pad_columns + columns)
     maps = [np.ascontiguousarray(np.fft.irfft2(spectrum * factor, s=shape)[inside]) for factor in responses(shape)]
     return maps, (plane[1] / metres_per_pixel, -plane[2] / metres_per_pixel)
+
+
+TEXEL_BAND_EDGES = (0.45, 0.55)
+"""Frequencies [cycles per texel] from which less is kept, and from which nothing: around the limit of sampling, so that
+a wave of 2.2 texels stays and its mirror image beyond the limit goes."""
+
+
+def restore_texels(height: Float, metres_per_pixel: float, texels_per_metre: Float) -> Float:
+    """Undo the smoothing of an image interpolated by cubic B-splines, and remove what is finer than its texels.
+
+    Parameters
+    ----------
+    height : ndarray, shape (H, W)
+        Heights [m] read from the interpolated image; pixels finer than its texels.
+    metres_per_pixel : float
+        Pixel size [m].
+    texels_per_metre : ndarray, shape (2, 2)
+        Derivative of the texel coordinates (rows: u, v) by the place (columns: +x, +y, up).
+
+    Returns
+    -------
+    ndarray, shape (H, W)
+        Heights with the mean plane unchanged.
+
+    Notes
+    -----
+    Along each texel axis a wave of ν cycles per texel was multiplied by sinc⁴(ν), the B-spline's spectrum (Unser 1999).
+    The axes are treated apart, so that the relief along a strip's short texels stays.
+    """
+    steps_m = np.linalg.inv(texels_per_metre)  # columns: the step from one texel to the next along u and v
+    plane = evaluate_plane((height.shape[0], height.shape[1]), fit_plane(height))
+
+    def response(shape: tuple[int, int]) -> list[Float]:
+        fx, fy = frequencies(shape, metres_per_pixel)
+        gain = np.ones((1, 1))
+        for step in steps_m.T:
+            # One row or column is enough for an axis along the pixels.
+            along_x, along_y = np.abs(step) > 1e-4 * np.abs(step).max()
+            nu = np.abs(
+                fx * step[0] * along_x if not along_y else fy * step[1] if not along_x else fx * step[0] + fy * step[1]
+            )
+            first, last = TEXEL_BAND_EDGES
+            taper = np.clip((nu - first) / (last - first), 0.0, 1.0)
+            kept = 0.5 + 0.5 * np.cos(np.pi * taper)
+            gain = gain * kept / np.sinc(np.minimum(nu, last)) ** 4
+        return [gain]
+
+    shortest_m = float(np.linalg.norm(steps_m, axis=0).min())
+    (restored,), _ = apply_filters(height, metres_per_pixel, response, "even", 8.0 * shortest_m)
+    return np.asarray(restored + plane)
+
+
+def decimate(image: NDArray[np.floating[Any]], factor: int) -> NDArray[np.float32]:
+    """Reduce an image (H·factor, W·factor) or (…, C) to (H, W) without folding finer waves into longer ones.
+
+    A windowed sinc is the filter; the image is mirrored at its edges. The pixels' centres stay in place.
+    """
+    half = 8 * factor
+    offset = np.arange(-half, half) + 0.5
+    weight = np.sinc(offset / factor) * np.cos(np.pi * offset / (2.0 * half)) ** 2
+    weight = (weight / weight.sum()).astype(np.float32)
+    result = np.asarray(image, dtype=np.float32)
+    for axis in (0, 1):
+        count = result.shape[axis] // factor
+        pads = [(half, half) if each == axis else (0, 0) for each in range(result.ndim)]
+        padded = np.pad(result, pads, mode="reflect")
+        total = None
+        for tap, each in enumerate(weight):
+            start = factor // 2 + tap
+            window = padded[(slice(None),) * axis + (slice(start, start + factor * (count - 1) + 1, factor),)]
+            total = each * window if total is None else total + each * window
+        result = np.asarray(total)
+    return result
 
 
 def _choose_padding(size: int, kernel_length: float) -> int:

@@ -100,16 +100,16 @@ def compute_soft_window(mask: Mask) -> Float:
     """Return a window (H, W), 0 … 1, that falls smoothly to 0 at the edges of the mask; all zero for a narrow mask."""
     reach = min(mask.shape) // WINDOW_RAMP_DIVISOR
     while reach >= 3:
-        inner = (_box_filter(mask.astype(np.float64), reach) > 1.0 - 1e-9).astype(np.float64)
+        inner = (box_filter(mask.astype(np.float64), reach) > 1.0 - 1e-9).astype(np.float64)
         if inner.sum() > reach**2:
             for _ in range(3):
-                inner = _box_filter(inner, reach // 3)
+                inner = box_filter(inner, reach // 3)
             return inner
         reach //= 2
     return np.zeros(mask.shape)
 
 
-def _box_filter(values: Float, half: int) -> Float:
+def box_filter(values: Float, half: int) -> Float:
     """Return means (H, W) over squares of (2 half + 1)² pixels; outside the image counts as 0."""
     for axis in (0, 1):
         total = np.cumsum(

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import UsageError
+from ..progress import add_work
 from .fourier_filters import apply_filters, frequencies, gaussian_mtf
 
 Float = NDArray[np.float64]
@@ -167,6 +168,7 @@ def render_sensor_image(height_m: ArrayLike, metres_per_pixel: float, sensor: Se
     UsageError
         For a height field that is not a finite two-dimensional array.
     """
+    add_work("sensor_images")
     height = np.asarray(height_m, dtype=np.float64)
     if height.ndim != 2 or min(height.shape) < 2 or not np.isfinite(height).all():
         raise UsageError(

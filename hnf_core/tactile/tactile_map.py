@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 
 
 class Route(str, Enum):
-    """Origin of a property of a patch: measured relief, prediction from an image, or a library material as prior."""
+    """Origin of a property of a patch: measured relief, prediction from an image, or a library material as prior.
+
+    LEARNED is only said of materials with a field of their own, for which none of these counts.
+    """
 
     MEASURED = "measured"
     PREDICTED = "predicted"
     PRIOR = "prior"
+    LEARNED = "learned"
 
 
 class HeightMap(Protocol):

@@ -61,21 +61,22 @@ def learn_material(request: LearnRequest, out: Path, report_progress: Callable[[
     """
     from ..datasets.registry import LICENCES, get_training_recordings, open_dataset
 
-    steps = request.epochs + 1
     report_progress(Progress(STAGE_GATHERING, 0, 1))
     data = open_dataset(request.kind, Path(request.folder) if request.folder else None)
-    data.process(request.material)  # Refuses a wrong name before torch is loaded.
+    process = data.process(request.material)  # Refuses a wrong name before torch is loaded.
     try:
-        from .from_recordings import TrainingOverrides, train_from_recordings
+        from .from_recordings import COMPARED_EPOCHS, TrainingOverrides, train_from_recordings
     except ImportError as error:
         raise HnfError(
             f"this Python cannot train ({error}).", remedy="Check it in the add-on's preferences."
         ) from error
     recordings = get_training_recordings(data, request.material, request.seconds, seed=0)
-    report_progress(Progress(STAGE_TRAINING, 0, steps))
+    report_progress(Progress(STAGE_TRAINING, 0, request.epochs + 1))
     trained, _ = train_from_recordings(
         recordings, request.kind, LICENCES[request.kind], 0, TrainingOverrides(epochs=request.epochs),
-        out.with_name(f"{out.name}.checkpoint"), lambda done, _total,
-        _loss: report_progress(Progress(STAGE_TRAINING, done, steps)),
+        out.with_name(f"{out.name}.checkpoint"),
+        lambda done, total, _loss: report_progress(Progress(STAGE_TRAINING, done, total + 1)),
+        # A quick try is not made three times as long to find the best form.
+        compare=process is None and request.epochs > COMPARED_EPOCHS,
     )  # fmt: skip
     save_field(out, trained.field)

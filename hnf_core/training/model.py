@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from ..field.contact.lattice_lines import HARMONIC_SHIFTS, HARMONIC_START_LOG, LINE_COUNT, LINE_GAIN_COUNT
 from ..field.field import LOG_AMPLITUDE_CEILING, FieldConfig
-from ..field.linear_contact import HARMONIC_SHIFTS, HARMONIC_START_LOG, LINE_COUNT, LINE_GAIN_COUNT
 
 
 def render_weights(sigma_dt: Tensor) -> Tensor:

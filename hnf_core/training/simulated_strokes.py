@@ -20,15 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datasets.pair_generation import CROSSOVER_WAVELENGTH_M, RANDOM_SCALE_DECADES, splice_spectra
-from ..material.contact_model import Mechanics
+from ..field.features import PROBE_KINDS
+from ..material.contact_model import LEARNED_MECHANICS, Mechanics
 from ..material.encoder_registry import get_encoder
-from ..material.probe import PROBES
+from ..material.probe import get_probe
 from ..material.token import ENCODER_ID
 from ..metrics.spectra import WINDOW_SAMPLES, window_power
+from ..signal import dft321
 from ..simulation.contact_dynamics import SmoothedMaps
-from ..simulation.dft321 import dft321
 from ..simulation.material_classes import derive_seed, list_classes, sample_instance
-from ..simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate_batch, straight_stroke
+from ..simulation.simulate import LEARNED_PHYSICS, SAMPLE_RATE_HZ, Stroke, simulate_batch, straight_stroke
 from ..simulation.surface_recipe import TILE_SIZE_M, SurfaceRecipe, height_map, random_recipe
 from ..tactile.height import tactile_map_from_height
 
@@ -98,7 +99,7 @@ def load_library_specimens(path: Path) -> list[Specimen]:
     """Read the materials of a library file as specimens; each is named after its class."""
     return [
         Specimen(entry["name"], entry["name"], SurfaceRecipe.from_dict(entry["recipe"]),
-                 Mechanics(**entry["mechanics"]), int(entry["seed"]))
+                 Mechanics(*(entry["mechanics"][name] for name in LEARNED_MECHANICS)), int(entry["seed"]))
         for entry in json.loads(path.read_text(encoding="utf-8"))["materials"]
     ]  # fmt: skip
 
@@ -106,7 +107,7 @@ def load_library_specimens(path: Path) -> list[Specimen]:
 def make_class_specimens(seeds: Sequence[int]) -> list[Specimen]:
     """Return one random material of every material class for each seed."""
     return [
-        Specimen(f"{name}/{seed}", name, *sample_instance(name, seed), derive_seed(f"{name}/{seed}"))
+        Specimen(f"{name}/{seed}", name, *_sample_learned(name, seed), derive_seed(f"{name}/{seed}"))
         for seed in seeds
         for name in list_classes()
     ]
@@ -220,6 +221,12 @@ def draw_steady_strokes(
     return strokes
 
 
+def _sample_learned(name: str, seed: int) -> tuple[SurfaceRecipe, Mechanics]:
+    """Sample an instance of a class, with the properties that F_Θ sees alone."""
+    recipe, mechanics = sample_instance(name, seed)
+    return recipe, Mechanics(*(getattr(mechanics, each) for each in LEARNED_MECHANICS))
+
+
 def draw_mechanics(typical: Mechanics | None, rng: np.random.Generator) -> Mechanics:
     """Draw stiffness, damping and friction: the material's own (with 20 % scatter), or any.
 
@@ -304,7 +311,7 @@ def record_strokes(
     The result does not depend on the number of workers.
     """
     jobs: list[list[int]] = []
-    for probe in PROBES:
+    for probe in PROBE_KINDS:
         rows = sorted((row for row, stroke in enumerate(strokes) if stroke.probe == probe),
                       key=lambda row: (strokes[row].surface, strokes[row].force))  # fmt: skip
         jobs += [rows[low : low + STROKES_PER_BATCH] for low in range(0, len(rows), STROKES_PER_BATCH)]
@@ -339,7 +346,8 @@ def _record_batch(job: RecordingJob) -> Float:
         [surfaces[stroke.surface].maps for stroke in strokes],
         [_make_path(stroke, float(speeds[stroke.speed]), seconds + SETTLE_S) for stroke in strokes],
         [stroke.mechanics for stroke in strokes],
-        PROBES[strokes[0].probe],
+        get_probe(strokes[0].probe),
+        physics=LEARNED_PHYSICS,
     )
     settled = acceleration[:, round(SETTLE_S * SAMPLE_RATE_HZ) :]
     fused = dft321(settled - settled.mean(axis=1, keepdims=True))

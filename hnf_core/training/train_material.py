@@ -3,7 +3,7 @@
 Recordings are cut into windows of 0.1 s, F_Θ is evaluated at states of the hand in each window, and the spectrum it
 predicts is fitted by the Whittle likelihood (P. Whittle 1953), Σ log S + P / S with S expected and P recorded, least in
 expectation at S = E P. The paper's loss L_mag compares the magnitudes of two random draws and learns a signal up to 2
-dB too quiet (evaluated in tools/hnf_lab).
+dB too quiet; a field of the published form is trained with it (`published_form`).
 """
 
 from __future__ import annotations
@@ -19,26 +19,25 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..datasets.recording import Recording
-from ..field.features import build_inputs
 from ..field.field import Field, FieldConfig, initial_parameters
-from ..field.linear_contact import Condition
 from ..field.render_weights import STEP_S
 from ..field.training_ranges import compute_training_ranges
 from ..files import content_hash
 from ..material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from ..material.token import TOKEN_DIM
+from ..metrics.spectra import WINDOW_SAMPLES
 from .fit import Checkpoint, load_checkpoint, save_checkpoint
 from .likelihood import DENSITY_FLOOR, WindowLikelihood, compute_arc_density, compute_expectation_matrices
 from .model import FieldNetwork, render_weights
+from .published_form import MagnitudeTask
 from .simulated_strokes import FINE_BINS, compute_bin_widths
-from .windows import TEST, TRAIN, VALIDATION, States, Windows, cut_windows
+from .windows import HOP, TEST, TRAIN, VALIDATION, States, Windows, build_state_inputs, cut_windows
 
 Float = NDArray[np.float64]
 
 SPEED_NODES = 96
 """Speeds at which the expectation of arc carriers is tabulated, log-spaced: over a tenfold range the step is narrower
 than a carrier."""
-STATES_PER_CHUNK = 4096
 
 
 @dataclass(frozen=True)
@@ -89,11 +88,7 @@ def build_rendered_inputs(
     state_index = windows.node[:, :, None] - config.stride * np.arange(past)
     alive = state_index >= windows.first[windows.node][:, :, None]
     used, rows = np.unique(np.where(alive, state_index, windows.node[:, :, None]), return_inverse=True)
-    chunks = [
-        _build_state_inputs(config, states, used[low : low + STATES_PER_CHUNK], token, mechanics)
-        for low in range(0, len(used), STATES_PER_CHUNK)
-    ]
-    x, prior, gate = (torch.tensor(np.concatenate(column)) for column in zip(*chunks, strict=True))
+    x, prior, gate = (torch.tensor(values) for values in build_state_inputs(config, states, used, token, mechanics))
     speed = states.speed[used]
     carriers, phase = config.carriers, np.zeros((len(used), config.carriers.count), dtype=np.float32)
     if config.accumulation == "heads":
@@ -146,24 +141,6 @@ class RenderedPower:
         return out, head
 
 
-def _build_state_inputs(
-    config: FieldConfig, states: States, rows: NDArray[np.int64], token: NDArray[np.float32], mechanics: Mechanics
-) -> tuple[NDArray[np.float32], ...]:
-    """Compute the network inputs x, prior and gate of some of the states, by index."""
-    condition = Condition(
-        tokens=np.tile(token.astype(np.float64), (len(rows), 1)),
-        mechanics=(mechanics,),
-        material=np.zeros(len(rows), dtype=np.int32),
-        direction=states.direction[rows],
-        speed=states.speed[rows],
-        force=states.force[rows],
-        contact=states.contact[rows],
-        probe=states.probe,
-    )
-    inputs = build_inputs(condition, config.carriers, config.physics, config.action_octaves, config.directed)
-    return inputs.x.astype(np.float32), inputs.prior.astype(np.float32), inputs.gate.astype(np.float32)
-
-
 ProgressCallback = Callable[[int, int, float], None]
 """Called after every epoch with (epoch, epochs, validation loss)."""
 
@@ -186,6 +163,8 @@ class Schedule:
         Windows per batch.
     learning_rate, decay
         Learning rate and weight decay of AdamW.
+    last_rate
+        Share of the learning rate that a cosine has fallen to at the end.
     smoothness
         Weight on the squared second difference of log amplitude between neighbouring 10 Hz bands, per window: ten
         seconds near one speed and force do not determine a hundred bands.
@@ -200,6 +179,12 @@ class Schedule:
     decay: float = 1e-2
     smoothness: float = 3.0
     patience: int = 15
+    last_rate: float = 0.01
+
+    @staticmethod
+    def published(epochs: int = 100) -> Schedule:
+        """Return the paper's: Adam at 1e-2 with a cosine, C = 200 windows a step, every epoch to the end."""
+        return Schedule(epochs, 0, 200, 1e-2, 0.0, 0.0, epochs, 0.0)
 
 
 @dataclass(frozen=True)
@@ -255,6 +240,10 @@ def train_material(
     mechanics: Mechanics = UNKNOWN_MECHANICS,
     checkpoint: Path | None = None,
     watch: ProgressCallback | None = None,
+    add_reversed: bool = False,
+    added: Sequence[Recording] = (),
+    raw: bool = False,
+    keep_checkpoint: bool = False,
 ) -> TrainingResult:
     """Fit F_Θ to recordings of one material with one probe.
 
@@ -273,9 +262,15 @@ def train_material(
     token, mechanics
         Token, and stiffness, damping and friction, of the material, if known.
     checkpoint
-        File from which a killed run continues; it is removed when training ends.
+        File from which a killed run continues; it is removed when training ends, unless `keep_checkpoint`.
     watch
         Called after every epoch.
+    add_reversed
+        Train on the recordings played backward too, as if the hand had moved the other way.
+    added
+        Further recordings, for training alone.
+    raw
+        True to train a field of the published form on raw actions.
 
     Returns
     -------
@@ -288,16 +283,26 @@ def train_material(
         If the recordings are too short or of several probes.
     """
     torch.set_num_threads(1)
-    states, windows = cut_windows(recordings)
-    values = np.zeros(TOKEN_DIM, dtype=np.float32) if token is None else token
-    inputs = build_rendered_inputs(config, states, windows, values, mechanics)
-    task = _TrainingTask(config, schedule, inputs, windows, RenderedPower(config, make_speed_table(states)))
-    network, history = _train_epochs(
-        task, _make_initial_parameters(config, windows, seed), seed, checkpoint, _compute_fingerprint(task, seed), watch
+    literal = config.carriers.constant
+    states, windows = cut_windows(
+        recordings, added, hop=WINDOW_SAMPLES if literal else HOP, raw=raw and literal, add_reversed=add_reversed
     )
+    values = np.zeros(TOKEN_DIM, dtype=np.float32) if token is None else token
+    task: _TrainingTask | MagnitudeTask
+    if literal:
+        task = MagnitudeTask(config, schedule.batch, states, windows, values, mechanics, raw=raw)
+    else:
+        inputs = build_rendered_inputs(config, states, windows, values, mechanics)
+        task = _TrainingTask(config, schedule.smoothness, inputs, windows, make_speed_table(states))
+    network, history = _train_epochs(
+        task, _make_initial_parameters(config, windows, seed), schedule, seed, checkpoint, watch
+    )
+    if checkpoint and not keep_checkpoint:
+        checkpoint.unlink(missing_ok=True)
+    strokes = (*recordings, *added)
     ranges = compute_training_ranges(
-        [recording.action for recording in recordings], values[None, :], [mechanics],
-        directed=["direction" in recording.known for recording in recordings],
+        [recording.action for recording in strokes], values[None, :], [mechanics],
+        directed=["direction" in recording.known for recording in strokes],
     )  # fmt: skip
     field = Field(config, network.to_numpy_parameters(), ranges)
     return TrainingResult(field, history, _compute_test_metrics(task, network, windows))
@@ -306,17 +311,31 @@ def train_material(
 class _TrainingTask:
     """Data of a training run, and its loss over a subset of the windows."""
 
+    magnitude_power = 0.25 * math.pi
+    """Square of a bin's expected magnitude, over its expected power."""
+
     def __init__(
-        self, config: FieldConfig, schedule: Schedule, inputs: RenderedInputs, windows: Windows, expected: RenderedPower
+        self, config: FieldConfig, smoothness: float, inputs: RenderedInputs, windows: Windows, speeds: Float
     ) -> None:
-        self.config, self.schedule, self.inputs, self.expected = config, schedule, inputs, expected
+        self.config, self.smoothness, self.inputs = config, smoothness, inputs
+        self.expected = RenderedPower(config, speeds)
         self.power = torch.tensor(windows.power + DENSITY_FLOOR, dtype=torch.float32)
         self.role = windows.role
         self.likelihood = WindowLikelihood(windows.counted_bins)
 
-    def select_rows(self, role: int) -> Tensor:
-        """Return the indices of the windows with a role (TRAIN, VALIDATION or TEST)."""
-        return torch.tensor(np.flatnonzero(self.role == role))
+    def get_data(self) -> tuple[Tensor, ...]:
+        """Return everything that the loss depends on besides the network."""
+        return self.power, self.inputs.x, self.inputs.state_rows, self.likelihood.weight
+
+    def accumulate_gradient(self, network: FieldNetwork, rows: Tensor) -> float:
+        """Add the gradient of the windows `rows` to the network's parameters, and return their loss."""
+        loss, head = self.compute_loss(network, rows)
+        (loss + self.smoothness * self.compute_roughness(head)).backward()  # type: ignore[no-untyped-call]
+        return float(loss.detach())
+
+    def predict_power(self, network: FieldNetwork, rows: Tensor) -> Tensor:
+        """Return the expected densities (rows, 107) of some windows."""
+        return self.expected(network, self.inputs, rows)[0]
 
     def compute_loss(self, network: FieldNetwork, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Return the mean negative log-likelihood of the windows `rows`, and the α head's outputs."""
@@ -335,17 +354,24 @@ class _TrainingTask:
         return (bands[..., 2:] - 2.0 * bands[..., 1:-1] + bands[..., :-2]).square().mean()
 
 
-def _compute_test_metrics(task: _TrainingTask, network: FieldNetwork, windows: Windows) -> HeldOutMetrics | None:
+def _select_rows(task: _TrainingTask | MagnitudeTask, role: int) -> Tensor:
+    """Return the indices of the windows with a role (TRAIN, VALIDATION or TEST)."""
+    return torch.tensor(np.flatnonzero(task.role == role))
+
+
+def _compute_test_metrics(
+    task: _TrainingTask | MagnitudeTask, network: FieldNetwork, windows: Windows
+) -> HeldOutMetrics | None:
     """Compute the metrics of the test windows; None if there are none."""
-    rows = task.select_rows(TEST)
+    rows = _select_rows(task, TEST)
     if len(rows) == 0:
         return None
     with torch.no_grad():
-        density = np.concatenate([task.expected(network, task.inputs, chunk)[0].numpy() for chunk in rows.split(1024)])  # type: ignore[no-untyped-call]
-    power = windows.power[rows]
+        density = np.concatenate([task.predict_power(network, chunk).numpy() for chunk in rows.split(1024)])  # type: ignore[no-untyped-call]
+    power = windows.power[rows.numpy()]
     expected, recorded = (power_rows.mean(axis=0, dtype=np.float64) + DENSITY_FLOOR for power_rows in (density, power))
     counted = np.flatnonzero(windows.counted_bins[:FINE_BINS])
-    error_magnitude = np.sqrt(0.25 * np.pi * density[:, counted]) - np.sqrt(power[:, counted])
+    error_magnitude = np.sqrt(task.magnitude_power * density[:, counted]) - np.sqrt(power[:, counted])
     fine_bins = counted[1:]
     loud = fine_bins[recorded[fine_bins] > 1e-3 * recorded[fine_bins].max()]
     error = 10.0 * np.log10(expected[loud] / recorded[loud])
@@ -388,15 +414,16 @@ def _make_initial_parameters(config: FieldConfig, windows: Windows, seed: int) -
 
 
 def _train_epochs(
-    task: _TrainingTask,
+    task: _TrainingTask | MagnitudeTask,
     start: dict[str, NDArray[np.float32]],
+    schedule: Schedule,
     seed: int,
     checkpoint: Path | None,
-    fingerprint: str,
     watch: ProgressCallback | None,
 ) -> tuple[FieldNetwork, Float]:
     """Run the epochs from parameters `start` or the checkpoint; return the best network and the losses per epoch."""
-    schedule, train, validation = task.schedule, task.select_rows(TRAIN), task.select_rows(VALIDATION)
+    train, validation = _select_rows(task, TRAIN), _select_rows(task, VALIDATION)
+    fingerprint = _compute_fingerprint(task, schedule, seed)
     network = FieldNetwork(task.config, start)
     optimiser = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=schedule.decay)
     generator = torch.Generator().manual_seed(seed)
@@ -416,12 +443,11 @@ def _train_epochs(
         total = 0.0
         for step, rows in enumerate(batches):
             progress = (epoch + step / len(batches)) / schedule.epochs
-            optimiser.param_groups[0]["lr"] = schedule.learning_rate * (0.505 + 0.495 * math.cos(math.pi * progress))
-            loss, head = task.compute_loss(network, rows)
+            middle, swing = 0.5 * (1.0 + schedule.last_rate), 0.5 * (1.0 - schedule.last_rate)
+            optimiser.param_groups[0]["lr"] = schedule.learning_rate * (middle + swing * math.cos(math.pi * progress))
             optimiser.zero_grad()
-            (loss + schedule.smoothness * task.compute_roughness(head)).backward()  # type: ignore[no-untyped-call]
+            total += task.accumulate_gradient(network, rows) * len(rows)
             optimiser.step()
-            total += float(loss.detach()) * len(rows)
         row = [epoch + 1.0, total / len(order), task.evaluate_loss(network, validation)]
         history = np.vstack([history, row])
         if _find_best_epoch(history) == len(history):
@@ -430,8 +456,6 @@ def _train_epochs(
             save_checkpoint(checkpoint, _make_checkpoint(network, optimiser, generator, best, history), fingerprint)
         if watch:
             watch(epoch + 1, schedule.epochs, row[2])
-    if checkpoint:
-        checkpoint.unlink(missing_ok=True)
     return FieldNetwork(task.config, best), history
 
 
@@ -477,8 +501,7 @@ def _restore_checkpoint(
     }
 
 
-def _compute_fingerprint(task: _TrainingTask, seed: int) -> str:
+def _compute_fingerprint(task: _TrainingTask | MagnitudeTask, schedule: Schedule, seed: int) -> str:
     """Hash data, architecture, schedule, seed and versions, which must be the same to continue from a checkpoint."""
-    words = repr((task.config, task.schedule, seed, torch.__version__, np.__version__))
-    arrays = (task.power, task.inputs.x, task.inputs.state_rows, task.likelihood.weight)
-    return content_hash(words, *(array.numpy().tobytes() for array in arrays))
+    words = repr((task.config, schedule, seed, torch.__version__, np.__version__))
+    return content_hash(words, *(array.numpy().tobytes() for array in task.get_data()))

@@ -48,7 +48,7 @@ from .training_data import (
 Float = NDArray[np.float64]
 
 LICENCE = "GPL-3.0-or-later"
-SHARED_CONFIG = FieldConfig(hidden=256, line_gains=True, stroke_frame=True)
+SHARED_CONFIG = FieldConfig(hidden=256, line_gains=True, stroke_frame=True, force_noise=True)
 
 
 @dataclass(frozen=True)

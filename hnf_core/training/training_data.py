@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError
+from ..field.features import PROBE_KINDS
 from ..files import write_bytes
 from ..material.contact_model import Mechanics
-from ..material.probe import PROBES
 from ..safetensors_io import dump_tensors, load_tensors
 from .simulated_strokes import (
     Specimen,
@@ -169,7 +169,7 @@ def save_training_data(path: Path, data: TrainingData) -> None:
     table = np.array(
         [
             (s.surface, s.mechanics.stiffness_n_m, s.mechanics.damping_ratio, s.mechanics.friction,
-             list(PROBES).index(s.probe), s.speed, s.angle, s.force, *s.start)
+             PROBE_KINDS.index(s.probe), s.speed, s.angle, s.force, *s.start)
             for s in data.strokes
         ],
         dtype=np.float64,
@@ -201,7 +201,7 @@ def load_training_data(path: Path) -> TrainingData:
             SteadyStroke(
                 surface=int(values["surface"]),
                 mechanics=Mechanics(values["stiffness"], values["damping"], values["friction"]),
-                probe=tuple(PROBES)[int(values["probe"])],
+                probe=PROBE_KINDS[int(values["probe"])],
                 speed=int(values["speed"]),
                 angle=float(values["angle"]),
                 force=float(values["force"]),

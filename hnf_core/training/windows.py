@@ -11,12 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..action.action import Action
 from ..datasets.recording import Recording
 from ..errors import UsageError
 from ..field.carriers import MODEL_RATE_HZ
+from ..field.features import build_inputs
+from ..field.field import FieldConfig
+from ..field.linear_contact import Condition
 from ..field.resampling import resample
-from ..field.stroke import SAMPLES_PER_STATE, resample_action, sample_count, uniform_stroke
-from ..material.contact_model import UNKNOWN_MECHANICS
+from ..field.stroke import SAMPLES_PER_STATE, resample_action, uniform_stroke
+from ..material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from ..material.token import TOKEN_DIM
 from ..metrics.spectra import WINDOW_SAMPLES, hann_window, window_power
 from .simulated_strokes import compute_bin_widths, pool_bins
@@ -31,6 +35,7 @@ HOP = WINDOW_SAMPLES // 2
 STATES_PER_WINDOW = WINDOW_SAMPLES // SAMPLES_PER_STATE
 NODES_PER_WINDOW = 5
 """States at which the field is evaluated for a window in which the action changes."""
+STATES_PER_CHUNK = 4096
 STEADY_CHANGE = 0.35
 """Mean change within a window (e-folds of speed or force, or radians) up to which its middle state represents it."""
 
@@ -43,6 +48,8 @@ class Windows:
     ----------
     power
         (n, 107) observed spectral density [(m/s²)²/Hz].
+    start
+        (n,) index of each window's first state.
     counted_bins
         (107,) bool, False for bins and bands above the bandwidth of the recordings.
     node
@@ -56,6 +63,7 @@ class Windows:
     """
 
     power: Float
+    start: NDArray[np.int64]
     counted_bins: NDArray[np.bool_]
     node: NDArray[np.int64]
     node_weight: Float
@@ -65,7 +73,7 @@ class Windows:
 
 @dataclass(frozen=True)
 class States:
-    """States of the hand (200 Hz) in all recordings, end to end; every array has a row per state."""
+    """States of the hand (200 Hz, or every sample) in all recordings, end to end; arrays have a row per state."""
 
     direction: Float
     speed: Float
@@ -74,30 +82,54 @@ class States:
     probe: str
 
 
-def cut_windows(recordings: Sequence[Recording]) -> tuple[States, Windows]:
+def cut_windows(
+    recordings: Sequence[Recording],
+    added: Sequence[Recording] = (),
+    *,
+    hop: int = HOP,
+    raw: bool = False,
+    add_reversed: bool = False,
+) -> tuple[States, Windows]:
     """Cut recordings, of one material and one probe and at any sample rates, into windows of 1000 samples at 10 kHz.
 
     Of ten successive windows eight are for training, one for validation, one for testing; counting continues from one
-    recording to the next, so that short recordings are split too. Raises UsageError if probes differ, or if no window
-    is left to train or to validate on.
+    recording to the next, so that short recordings are split too.
+
+    Parameters
+    ----------
+    recordings
+        The recordings.
+    added
+        Further ones, all for training.
+    hop
+        Samples between windows of one role.
+    raw
+        True for the action as its sensors recorded it, with a state at every sample.
+    add_reversed
+        Train on each training window played backward too, as if the hand had moved the other way. Its power stays, and
+        nothing of it is validated or tested on.
+
+    Raises
+    ------
+    UsageError
+        If probes differ, no window is left to train or to validate on, or a raw action was not recorded.
     """
     probes = {recording.action.probe for recording in recordings}
     if len(probes) != 1:
         raise UsageError(f"recordings of {len(probes)} probes.", remedy="Train one field for each probe.")
     directions, speeds, forces, contacts, firsts = [], [], [], [], []
     powers, starts, roles = [], [], []
-    state_count, slot_count = 0, 0
-    for recording in recordings:
-        action, _ = resample_action(
-            uniform_stroke(recording.action, np.zeros(TOKEN_DIM, dtype=np.float32), UNKNOWN_MECHANICS)
-        )
+    state_count, slot_count, samples_per_state = 0, 0, 1 if raw else SAMPLES_PER_STATE
+    for index, recording in enumerate((*recordings, *added)):
+        action = _read_raw_action(recording) if raw else read_action(recording)
         samples = resample(recording.samples, recording.sample_rate, MODEL_RATE_HZ)[0]
-        count = min(len(samples), sample_count(action)) // WINDOW_SAMPLES
-        for role, low, high in find_role_runs(slot_count, count):
-            begin = np.arange(low * WINDOW_SAMPLES, high * WINDOW_SAMPLES - WINDOW_SAMPLES + 1, HOP)
+        count = min(len(samples), (len(action.speed) - 1) * samples_per_state) // WINDOW_SAMPLES
+        runs = find_role_runs(slot_count, count) if index < len(recordings) else [(TRAIN, 0, count)]
+        for role, low, high in runs if count else ():
+            begin = np.arange(low * WINDOW_SAMPLES, high * WINDOW_SAMPLES - WINDOW_SAMPLES + 1, hop)
             segments = np.lib.stride_tricks.sliding_window_view(samples, WINDOW_SAMPLES)[begin]
             powers.append(pool_bins(window_power(segments.reshape(-1), MODEL_RATE_HZ, hop=WINDOW_SAMPLES)))
-            starts.append(state_count + begin // SAMPLES_PER_STATE)
+            starts.append(state_count + begin // samples_per_state)
             roles.append(np.full(len(begin), role))
         directions.append(action.direction)
         speeds.append(action.speed)
@@ -105,7 +137,7 @@ def cut_windows(recordings: Sequence[Recording]) -> tuple[States, Windows]:
         contacts.append(action.contact)
         firsts.append(np.full(len(action.speed), state_count))
         state_count += len(action.speed)
-        slot_count += count
+        slot_count += count if index < len(recordings) else 0
     assigned = np.concatenate(roles) if roles else np.zeros(0, dtype=np.int64)
     for needed, name in ((TRAIN, "train"), (VALIDATION, "validate")):
         if not np.any(assigned == needed):
@@ -118,11 +150,66 @@ def cut_windows(recordings: Sequence[Recording]) -> tuple[States, Windows]:
         probes.pop(),
     )  # fmt: skip
     known = frozenset().union(*(recording.known for recording in recordings))
-    node, weight = _choose_nodes(states, np.concatenate(starts), known)
+    power, start, first = np.concatenate(powers), np.concatenate(starts), np.concatenate(firsts)
+    if add_reversed:
+        last = state_count + np.searchsorted(first, first, side="right") - 1
+        trained = np.flatnonzero(assigned == TRAIN)
+        backward = 2 * state_count - 1 - (start[trained] + STATES_PER_WINDOW)
+        first = np.concatenate([first, (3 * state_count - 1 - last)[::-1]])
+        power, assigned = np.concatenate([power, power[trained]]), np.concatenate([assigned, assigned[trained]])
+        start, states = np.concatenate([start, backward]), _append_reversed(states)
+    node, weight = (start[:, None], np.ones(1)) if raw else _choose_nodes(states, start, known)
     return states, Windows(
-        np.concatenate(powers), _find_counted_bins(recordings), node, weight, assigned.astype(np.int64),
-        np.concatenate(firsts).astype(np.int64),
-    )  # fmt: skip
+        power, start, _find_counted_bins(recordings), node, weight, assigned.astype(np.int64), first.astype(np.int64)
+    )
+
+
+def _append_reversed(states: States) -> States:
+    """Append the same states in reverse order, with the hand going the other way."""
+    speed, force, contact = (
+        np.concatenate([each, each[::-1]]) for each in (states.speed, states.force, states.contact)
+    )
+    return States(np.concatenate([states.direction, -states.direction[::-1]]), speed, force, contact, states.probe)
+
+
+def read_action(recording: Recording) -> Action:
+    """Return the action at 200 Hz."""
+    stroke = uniform_stroke(recording.action, np.zeros(TOKEN_DIM, dtype=np.float32), UNKNOWN_MECHANICS)
+    return resample_action(stroke)[0]
+
+
+def _read_raw_action(recording: Recording) -> Action:
+    if recording.measure_raw_action is None:
+        raise UsageError(
+            f"no sensor recorded the action of {recording.source}.",
+            remedy="Give recordings of force or motion, or take --actions low-passed.",
+        )
+    action = recording.measure_raw_action()
+    if action.rate != MODEL_RATE_HZ:
+        raise UsageError(f"its raw action has {action.rate:g} Hz, not {MODEL_RATE_HZ:g}.", remedy="Resample it.")
+    return action
+
+
+def build_state_inputs(
+    config: FieldConfig, states: States, rows: NDArray[np.int64], token: NDArray[np.float32], mechanics: Mechanics
+) -> tuple[NDArray[np.float32], ...]:
+    """Compute the network inputs x, prior and gate (see features.Inputs) of some of the states, by index."""
+    chunks = []
+    for low in range(0, len(rows), STATES_PER_CHUNK):
+        part = rows[low : low + STATES_PER_CHUNK]
+        condition = Condition(
+            tokens=np.tile(token.astype(np.float64), (len(part), 1)),
+            mechanics=(mechanics,),
+            material=np.zeros(len(part), dtype=np.int32),
+            direction=states.direction[part],
+            speed=states.speed[part],
+            force=states.force[part],
+            contact=states.contact[part],
+            probe=states.probe,
+        )
+        inputs = build_inputs(condition, config.carriers, config.physics, config.action_octaves, config.directed)
+        chunks.append([values.astype(np.float32) for values in (inputs.x, inputs.prior, inputs.gate)])
+    return tuple(np.concatenate(column) for column in zip(*chunks, strict=True))
 
 
 def find_role_runs(first_slot: int, count: int) -> list[tuple[int, int, int]]:

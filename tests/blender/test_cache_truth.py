@@ -25,9 +25,10 @@ from hnf_blender.jobs import bake_job, job_runner
 from hnf_blender.touch import bake_patches
 from hnf_blender.touch import session as jobs
 from hnf_blender.touch.bake_storage import hash_surface_source
-from hnf_blender.touch.report import Counts, Report
+from hnf_blender.touch.report import Counts
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_core.errors import SceneError
+from hnf_core.progress import count_work
 
 NOTHING = {"close_ups": 0, "renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
 PIXELS = 64
@@ -69,24 +70,19 @@ def stored(stroke_properties, tmp_path_factory):
 @pytest.fixture
 def job(stored, tmp_path, monkeypatch):
     """Opens the baked scene. Bakes what is open, and returns the Work that was done."""
-    cache, reports = tmp_path / "cache", []
+    cache = tmp_path / "cache"
     shutil.copytree(stored / "cache", cache)
     bpy.ops.wm.open_mainfile(filepath=str(stored / "scene.blend"))
-
-    def report(*arguments, **settings):
-        reports.append(Report(*arguments, **settings))
-        return reports[-1]
-
     monkeypatch.setattr(bake_job, "get_cache_folder", lambda: cache)
-    monkeypatch.setattr(job_runner, "Report", report)
 
     def run() -> Work:
         before = bakes()
         bpy.context.view_layer.update()
-        ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+        with count_work() as work:
+            ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
         assert ended.ok, ended
-        after = bakes()
-        return Work(tuple(sorted(name for name in after if after[name] != before.get(name))), reports[-1].counts)
+        after, counts = bakes(), Counts(**{kind: work.total(kind) for kind in NOTHING})
+        return Work(tuple(sorted(name for name in after if after[name] != before.get(name))), counts)
 
     return run
 
@@ -142,7 +138,8 @@ def test_what_is_felt_is_made_anew_and_nothing_else(job, tmp_path, change) -> No
     assert list(steps) == []
     done = job()
     assert done.strokes == ("Along",)
-    assert done.counts.renders == done.counts.tokens == done.counts.network_calls == 1
+    assert done.counts.close_ups == done.counts.tokens == done.counts.network_calls == 1
+    assert done.counts.renders == 2  # one is the small view that chooses the sampling
     assert job() == Work((), Counts())
 
 
@@ -216,7 +213,7 @@ def test_the_unit_scale_is_noticed_on_every_surface(job) -> None:
     bpy.context.scene.unit_settings.scale_length = 0.5
     done = job()
     assert done.strokes == ("Along", "Beside")
-    assert done.counts.renders == 2
+    assert (done.counts.close_ups, done.counts.renders) == (2, 4)
 
 
 @worked_through
@@ -234,7 +231,7 @@ def test_the_working_space_is_noticed_on_every_surface(job) -> None:
     set_space(working_space="Linear Rec.2020", convert_colors=False)
     done = job()
     assert done.strokes == ("Along", "Beside")
-    assert done.counts.renders == 2
+    assert (done.counts.close_ups, done.counts.renders) == (2, 4)
     assert not np.array_equal(look(plate()).height, before)
     set_space(working_space="Linear Rec.709", convert_colors=False)
     assert job().counts.renders == 0
@@ -246,7 +243,7 @@ def test_equal_surfaces_share_a_close_up(job) -> None:
     bpy.data.objects["Aside"].data.materials[0] = plate().data.materials[0]
     done = job()
     assert done.strokes == ("Along", "Beside")
-    assert (done.counts.renders, done.counts.tokens) == (1, 1)
+    assert (done.counts.close_ups, done.counts.renders, done.counts.tokens) == (1, 2, 1)
 
 
 def test_notes_say_the_names_of_now(job, tmp_path) -> None:
@@ -321,20 +318,20 @@ sys.path[:0] = [{root!r}, {tests!r}]
 import bpy
 from hnf_blender import props
 props.register()
-from hnf_blender.jobs import bake_job, job_runner
+from hnf_blender.jobs import bake_job
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_blender.touch import bake_patches, session
+from hnf_core.progress import count_work
 bake_patches.PATCH_PIXELS = session.PATCH_PIXELS = {pixels}
 bake_job.get_cache_folder = lambda: Path({cache!r})
-made, report = [], job_runner.Report
-job_runner.Report = lambda *arguments, **settings: made.append(report(*arguments, **settings)) or made[-1]
 bpy.ops.wm.open_mainfile(filepath={scene!r})
 for lost in (False, True):
     if lost:
         for name in ("Along", "Beside"):
             del bpy.data.objects[name][BAKE_PROPERTY]
-    ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
-    print("RESULT", ended.ok, ended.written > 0, made[-1].counts.renders, made[-1].counts.network_calls, flush=True)
+    with count_work() as work:
+        ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    print("RESULT", ended.ok, ended.written > 0, work.total("renders"), work.total("network_calls"), flush=True)
 """
 
 

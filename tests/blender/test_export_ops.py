@@ -6,6 +6,7 @@ import json
 import shutil
 
 import bpy
+import numpy as np
 import pytest
 from job_scene import small_scene
 from panel_recorder import drawn
@@ -13,6 +14,8 @@ from panel_recorder import drawn
 from hnf_blender.preview.export_stroke import describe_loss, export_stroke, get_current_signal
 from hnf_blender.preview.preview_state import PREVIEW
 from hnf_blender.props.scene_settings import FORMAT_CHOICES
+from hnf_blender.touch.stroke_bake import load_bake
+from hnf_core.action.action import read_action_csv
 from hnf_core.export.convert import import_signal
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.hjif import read_hjif
@@ -90,6 +93,17 @@ def test_the_format_given_counts_more_than_the_panel_s(folder) -> None:
     bpy.context.scene.hnf.export_format = "csv"
     assert bpy.ops.hnf.export(format="wav") == {"FINISHED"}
     assert {path.name for path in folder.iterdir()} == {"along.wav", "along.wav.json"}
+
+
+def test_the_action_of_a_stroke_is_a_table_that_is_read(folder) -> None:
+    assert bpy.ops.hnf.export_action() == {"FINISHED"}
+    assert [path.name for path in folder.iterdir()] == ["along-action.csv"]
+    read, baked = read_action_csv(folder / "along-action.csv"), load_bake(stroke()).stroke.action
+    np.testing.assert_allclose(read.speed, baked.speed, atol=1e-9)
+    np.testing.assert_allclose(read.direction, baked.direction, atol=1e-9)
+    np.testing.assert_allclose(read.position, baked.position, atol=1e-9)
+    np.testing.assert_array_equal(read.contact, baked.contact)
+    np.testing.assert_allclose(read.force, np.where(baked.contact, baked.force, 0.0), atol=1e-9)
 
 
 def test_full_scale_is_the_largest_acceleration_of_the_actuator(folder) -> None:
@@ -174,7 +188,7 @@ def test_the_sentence_names_what_changed_most(folder) -> None:
 
 
 def test_the_panel_says_full_scale_and_what_was_lost(folder) -> None:
-    from hnf_blender.ui.export_panel import HNF_PT_export
+    from hnf_blender.ui.preview_panel import HNF_PT_export
 
     settings = bpy.context.scene.hnf
     plain = drawn(HNF_PT_export)

@@ -125,8 +125,10 @@ def test_the_zip_holds_only_code_data_licence_and_wheels(archive: Path) -> None:
     assert {"__init__.py", "blender_manifest.toml", "LICENSE", "hnf_core/__init__.py"} <= names
     assert {Path(name).suffix for name in names if name.startswith("wheels/")} == {".whl"}
     assert not [name for name in names if "__pycache__" in name or name.startswith(("hnf_blender/", "tests/"))]
-    assert not [name for name in names if {"hnf_lab", "bench", "tools", "batch"} & set(Path(name).parts)]
-    data = {str(p.relative_to(build_extension.ROOT)) for p in (build_extension.ROOT / "hnf_core").rglob("data/*")}
+    assert not [name for name in names if {"hnf_lab", "bench", "tools", "batch", "study"} & set(Path(name).parts)]
+    paths = [path for path in (build_extension.ROOT / "hnf_core" / "data").rglob("*") if path.is_file()]
+    data = {str(path.relative_to(build_extension.ROOT)) for path in paths}
+    assert any(path.suffix == ".toml" for path in paths)
     assert data >= build_extension.OMITTED_FILES
     assert data & names == data - build_extension.OMITTED_FILES
     assert archive.stat().st_size < 46 * MEGABYTE

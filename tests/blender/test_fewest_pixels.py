@@ -12,7 +12,9 @@ from closeup_builders import patch, principled
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_blender.bridge.render.closeup import PIXELS_PER_TEXEL, PIXELS_PER_TRIANGLE, CloseUpRenderer, choose_resolution
+from hnf_blender.bridge.render import closeup
+from hnf_blender.bridge.render.closeup import CloseUpRenderer
+from hnf_blender.bridge.render.closeup_resolution import PIXELS_PER_TEXEL, PIXELS_PER_TRIANGLE, choose_resolution
 from hnf_blender.bridge.render.isolated_object import SlotReading
 from hnf_blender.bridge.render.unlit_image import MAX_READABLE_WAVELENGTH_M
 from hnf_blender.bridge.shader.aov_taps import ImageTap, Tap
@@ -93,7 +95,7 @@ def test_fewer_pixels_than_it_takes_would_be_told_apart(first: int, monkeypatch:
     """The bound is no luxury: what it keeps from happening is seen by the same measure."""
     obj = plate(0.5e-3)
     right = token_of(looked(obj))
-    monkeypatch.setattr("hnf_blender.bridge.render.closeup.PIXELS_PER_TEXEL", 1e-9)
+    monkeypatch.setattr("hnf_blender.bridge.render.closeup_resolution.PIXELS_PER_TEXEL", 1e-9)
     few = looked(obj, first)
     assert few.mask.shape == (first, first)
     wrong = token_of(few)
@@ -115,11 +117,28 @@ def test_between_them_it_takes_what_is_between() -> None:
     assert looked(plate(0.6e-3)).mask.shape == (128, 128)
 
 
-def test_a_pattern_without_texels_is_looked_at_once() -> None:
+def test_a_pattern_without_texels_gets_all_pixels_at_once() -> None:
     obj = plate(1e-3, procedural=True)
     assert not is_direct_image(obj.data.materials[0])
     close = looked(obj)
-    assert (close.mask.shape, close.renders) == ((MOST, MOST), 1)
+    assert (close.mask.shape, close.renders) == ((MOST, MOST), 2)  # a small view chooses its sampling
+
+
+@pytest.mark.parametrize(
+    ("texel_m", "procedural", "renders"), [(1e-3, False, 1), (0.1e-3, False, 2), (50e-6, False, 3), (1e-3, True, 2)]
+)
+def test_every_render_is_counted(texel_m: float, procedural: bool, renders: int, monkeypatch) -> None:
+    """The small view that chooses the sampling included, and for a slot's first patch alone."""
+    made = []
+    render_passes = closeup.render_passes
+    monkeypatch.setattr(closeup, "render_passes", lambda scene: made.append(scene) or render_passes(scene))
+    places = [patch(), patch(0.002)]
+    with CloseUpRenderer(
+        plate(texel_m, procedural=procedural), places, pixels=MOST, first_pass_pixels=FIRST
+    ) as renderer:
+        told = [renderer.render(place).renders for place in places]
+    assert sum(told) == len(made)
+    assert told == [renders, min(renders, 2) - procedural]
 
 
 def fine_image(tree, texels: int = 400):
@@ -158,14 +177,14 @@ def cut(tree) -> None:
     tree.links.new(step.outputs[0], bump.inputs["Height"])
 
 
-@pytest.mark.parametrize("changed", [weighed, mixed, stepped, cut])
-def test_what_else_has_detail_gets_all_pixels(changed) -> None:
+@pytest.mark.parametrize(("changed", "renders"), [(weighed, 2), (mixed, 1), (stepped, 2), (cut, 2)])
+def test_what_else_has_detail_gets_all_pixels(changed, renders) -> None:
     obj = plate(1e-3)
     assert is_direct_image(obj.data.materials[0])
     changed(obj.data.materials[0].node_tree)
     assert not is_direct_image(obj.data.materials[0])
     close = looked(obj)
-    assert (close.mask.shape, close.renders) == ((MOST, MOST), 1)
+    assert (close.mask.shape, close.renders) == ((MOST, MOST), renders)
 
 
 def test_small_faces_are_all_found() -> None:

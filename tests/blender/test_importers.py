@@ -16,7 +16,7 @@ from builders import add_plane, add_sphere, float_image
 
 from hnf_blender.bridge.importers import open_scene
 from hnf_blender.bridge.scene.object_size import get_metres_per_unit, get_size_warning
-from hnf_blender.bridge.scene.suppress_output import suppress_output
+from hnf_blender.bridge.scene.temp_scene import suppress_output
 from hnf_blender.bridge.shader.closures import ReliefSource, find_relief_source
 from hnf_blender.bridge.shader.images import explain_missing_image
 from hnf_core.errors import FileError, HnfError, SceneError
@@ -274,7 +274,7 @@ def test_nothing_is_printed(ball_files: Path, tmp_path: Path, capfd: pytest.Capt
 def test_quiet_holds_back_c_output_and_puts_the_streams_back() -> None:
     code = (
         "import ctypes, os, sys\n"
-        "from hnf_blender.bridge.scene.suppress_output import suppress_output\n"
+        "from hnf_blender.bridge.scene.temp_scene import suppress_output\n"
         "libc = ctypes.CDLL(None)\n"
         "print('before')\n"
         "try:\n"

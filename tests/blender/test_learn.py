@@ -194,7 +194,7 @@ def test_training_resumes_after_a_cancel_and_assigns_its_result(warm_bake, learn
     assert is_gone(pid)
     assert STATE.job is None
     assert "with the same choices to resume" in STATE.last_job.message
-    assert [path.suffix for path in learned.iterdir()] == [".checkpoint"]
+    assert {path.suffix for path in learned.iterdir()} == {".checkpoint"}
     assert get_artist_choice(plate.active_material) == ""
 
     again = begin(lesson)

@@ -19,6 +19,7 @@ from hnf_blender.touch import overview as touch_view
 from hnf_blender.touch.overview import StrokeViews
 from hnf_blender.touch.report import Counts
 from hnf_core.errors import SceneError
+from hnf_core.progress import count_work
 from hnf_core.scene.camera import Camera
 from hnf_core.units import linear_to_srgb
 
@@ -169,18 +170,19 @@ def test_denoising_with_relief_passes_preserves_ridges():
     assert shown > max(0.8, by_colour + 0.05)
 
 
-def test_views_of_a_run_share_one_lazily_built_scene(things, monkeypatch):
-    _, floor = things
-    scenes = []
+@pytest.fixture
+def small(monkeypatch):
     monkeypatch.setattr(touch_view, "WIDTH", 96)
     monkeypatch.setattr(touch_view, "HEIGHT", 54)
-    monkeypatch.setattr(
-        lit_render, "configure_cycles", lambda scene, samples: scenes.append(configure_cycles(scene, 1))
-    )
+    monkeypatch.setattr(lit_render, "configure_cycles", lambda scene, samples: configure_cycles(scene, 1))
+
+
+def test_views_of_a_run_share_one_lazily_built_scene(things, small):
+    _, floor = things
     depsgraph, counts = bpy.context.evaluated_depsgraph_get(), Counts()
     surface = read_surface(floor, depsgraph, 1.0)
-    with StrokeViews(bpy.context.scene, depsgraph, 1.0, counts) as views:
-        assert (scenes, counts.renders) == ([], 0)
+    with count_work() as work, StrokeViews(bpy.context.scene, depsgraph, 1.0, counts) as views:
+        assert (work.total("scenes"), counts.renders) == (0, 0)
         for x in (0.8, 1.2):
             point = np.stack([np.linspace(x, x + 0.1, 5), np.zeros(5), np.zeros(5)], axis=1)
             contacts = SimpleNamespace(point=point, normal=np.tile([0.0, 0.0, 1.0], (5, 1)), force=np.ones(5))
@@ -189,15 +191,8 @@ def test_views_of_a_run_share_one_lazily_built_scene(things, monkeypatch):
             assert (
                 bpy.data.scenes[TEMP_SCENE_NAME].cycles.denoising_input_passes == "RGB_ALBEDO_NORMAL"
             )  # the relief stays
-    assert (len(scenes), counts.renders) == (1, 2)
+    assert (work.total("scenes"), work.total("renders"), counts.renders) == (1, 2, 2)
     assert TEMP_SCENE_NAME not in bpy.data.scenes
-
-
-@pytest.fixture
-def small(monkeypatch):
-    monkeypatch.setattr(touch_view, "WIDTH", 96)
-    monkeypatch.setattr(touch_view, "HEIGHT", 54)
-    monkeypatch.setattr(lit_render, "configure_cycles", lambda scene, samples: configure_cycles(scene, 1))
 
 
 def seen_from_below(gap):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hnf_blender.state import labels
-from hnf_blender.touch.stroke_status import Freshness, StrokeStatus
+from hnf_blender.touch.report import Freshness, StrokeStatus
 from hnf_blender.ui.materials_panel import group_equal_bakes
 
 LONG = "A stroke along the very long seam of the left armrest"
@@ -51,6 +51,7 @@ def test_routes_are_said_in_an_artists_words() -> None:
         "8–0.5 mm: estimated from the picture",
         "0.25–0.125 mm: taken from the library",
     )
+    assert labels.format_routes("8–0.125 mm learned") == ("8–0.125 mm: learned from recordings",)
     assert labels.format_routes("") == ()
 
 

@@ -22,7 +22,7 @@ from hnf_blender.registration import collect_classes
 from hnf_blender.state import labels
 from hnf_blender.state.addon_settings import Settings, get_settings
 from hnf_blender.state.session_state import STATE, JobStatus, LastJob, PlanLine, PlanView
-from hnf_blender.touch.stroke_status import Freshness, StrokeStatus
+from hnf_blender.touch.report import Freshness, StrokeStatus
 from hnf_blender.ui import strokes_panel
 from hnf_core.action.primitives import PRIMITIVES
 
@@ -252,6 +252,7 @@ def test_the_ready_strokes_are_the_primitives() -> None:
     menu.draw(type("Menu", (), {"layout": recorder})(), bpy.context)
     chosen = [value for operator, name, value in recorder.given if (operator, name) == ("hnf.stroke_add", "primitive")]
     assert chosen == list(PRIMITIVES)
+    assert ("hnf.stroke_add", "dialog", True) in recorder.given
     assert "0.5 N, 100 mm/s" in recorder.words
 
 

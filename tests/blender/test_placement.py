@@ -13,6 +13,7 @@ from hnf_blender.bridge.scene.meshes import make_ray_caster, read_surface
 from hnf_blender.bridge.stroke.place_primitive import choose_default_slots, list_touchable_slots, place_primitive
 from hnf_blender.bridge.stroke.read_stroke import list_strokes, read_stroke
 from hnf_core.action.contacts import find_contacts
+from hnf_core.action.parse_stroke import parse_stroke
 from hnf_core.action.patches import action_from_contacts, plan_patches
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
@@ -274,3 +275,100 @@ def test_flight_helmet():
         up = make_ray_caster(mesh).cast(contacts.point + 1e-3 * contacts.normal, contacts.normal)
         assert np.mean(up.distance > 0.02) >= 0.95, target
         assert stroke.length_m >= 0.024, target
+
+
+SAID = (
+    "rub slowly in circles", "back and forth three times", "zigzag, 1 N", "press hard for two seconds", "tap twice",
+    "tap twice, then rub in circles", "stop and go to the left", "drum for 1 second", "square with sides of 2 cm",
+    "spiral inwards", "figure eight", "stroke to the right, lift, stroke again", "slide right, stop for half a second, "
+    "slide back", "stroke with increasing force", "wavy line, upwards", "tap along a line from left to right",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("words", SAID)
+def test_a_plane_gives_the_words_themselves(words):
+    expected = make_primitive_action(parse_stroke(words), seed=3)
+    action = assert_well_placed(place(add_plane(size=0.2), parse_stroke(words), seed=3), 0, within=1e-6)[2]
+    n = min(len(action.speed), len(expected.speed))
+    assert abs(len(action.speed) - len(expected.speed)) <= 3
+    # Knots on the surface are closer, and keyframes are rounded to float32: corners come a few milliseconds apart.
+    late = 3
+    for mine, other, size in (
+        (action.speed, expected.speed, expected.speed.max()), (action.force, expected.force, expected.force.max())
+    ):  # fmt: skip
+        near = [np.abs(mine[late : n - late] - np.roll(other, k)[late : n - late]) for k in range(-late, late + 1)]
+        assert np.min(near, axis=0).max() <= 0.1 * max(size, 1e-3)
+    assert action.position[-1] == pytest.approx(expected.position[-1], rel=5e-3, abs=1e-6)
+    assert action.force.max() == pytest.approx(expected.force.max(), rel=1e-4)
+    assert np.sum(np.diff(action.contact.astype(int)) == 1) == np.sum(np.diff(expected.contact.astype(int)) == 1)
+
+
+@pytest.mark.parametrize("words", SAID)
+def test_words_stay_on_a_ball_across_its_seam(words):
+    ball = add_sphere(radius=0.06)
+    _, contacts, action = assert_well_placed(place(ball, parse_stroke(words), seed=1), 0)
+    expected = make_primitive_action(parse_stroke(words), seed=1)
+    moving = expected.speed.max() > 0.0
+    assert action.force.max() == pytest.approx(expected.force.max(), rel=1e-4)
+    assert np.all(np.einsum("nx,nx->n", contacts.normal, contacts.point) > 0)
+    if moving:
+        sliding = action.contact & (action.speed > 0.0)
+        assert action.speed[sliding].max() <= expected.speed[expected.contact].max() * 1.05 + 1e-3
+
+
+def test_a_size_that_was_said_is_kept_or_refused():
+    small = add_plane(size=0.03)
+    with pytest.raises(SceneError, match="large enough"):
+        place(small, parse_stroke("drag 5 cm"))
+    assert act(place(small, parse_stroke("drag 2 cm, 80 mm/s")))[3].position[-1] == pytest.approx(0.02, rel=1e-3)
+    # What was not said shrinks; its speed and time do not.
+    action = act(place(small, parse_stroke("circles for 3 seconds, 100 mm/s")))[3]
+    assert action.speed.max() == pytest.approx(0.1, rel=1e-2)
+    assert action.duration_s == pytest.approx(3.0, abs=0.02)
+
+
+def test_a_long_stroke_in_words_has_a_name_that_fits():
+    words = (
+        "tap twice with 2 N, then press hard for two seconds, then rub in small circles clockwise for 3.5 s, 80 mm/s"
+    )
+    primitive = parse_stroke(words)
+    assert len(primitive.name) > 63
+    placed = place(add_plane(size=0.1), primitive)
+    assert placed.name.endswith("-etc on Plane")
+    assert len(placed.name.encode()) <= 63
+
+
+@pytest.mark.parametrize(("pitch", "height"), [(1e-3, 0.5e-3), (2e-3, 0.5e-3), (2e-3, 1e-3), (4e-3, 2e-3)])
+@pytest.mark.parametrize("primitive", ["default", "rub-slow", "diagonal-hard"])
+def test_steep_ridges_leave_as_much_room_as_a_flat_strip(pitch, height, primitive):
+    """Flanks of 38 to 58°: what counts is the shape that the hand follows."""
+    from test_mesh_relief import add_ridges
+
+    def place(height: float) -> float:
+        obj = add_ridges(f"Strip {height}", pitch, height, 20, length=0.1)
+        bpy.context.view_layer.update()
+        placed = place_primitive(bpy.context.scene, obj, 0, primitive, 1.0)
+        obj.hide_render = obj.hide_viewport = True
+        return placed.size_m
+
+    assert place(height) == place(0.0)
+
+
+def test_a_tilted_smooth_shape_is_still_too_steep():
+    """Ridges on a cylinder of 12 mm: no more room than on the cylinder itself."""
+    from test_mesh_relief import add_ridges
+
+    def place(height: float) -> float:
+        obj = add_ridges(f"Bar {height}", 1e-3, height, 12, length=0.03)
+        bend = obj.data
+        for vertex in bend.vertices:
+            x, y, z = vertex.co
+            radius = 12e-3 + z
+            vertex.co = (radius * np.sin(x / 12e-3), y, radius * np.cos(x / 12e-3))
+        bend.update()
+        bpy.context.view_layer.update()
+        placed = place_primitive(bpy.context.scene, obj, 0, "left-right-soft", 1.0)
+        obj.hide_render = obj.hide_viewport = True
+        return placed.size_m
+
+    assert place(0.0) <= place(0.5e-3) <= 0.014  # 33° to each side, and the next size is 45°

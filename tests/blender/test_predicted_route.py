@@ -206,7 +206,15 @@ def test_a_flat_map_gives_the_level_of_a_smooth_surface(tmp_path, monkeypatch) -
     baked = bake_open_scene(tmp_path)
     assert baked.routes == ["predicted"] * 7
     assert baked.strokes[0].main_material.library.name == "sandstone"
-    felt = synthesise_stroke(baked.strokes[0], load_field(), 0, baked.report.counts)
+    # Friction's own noise belongs to the stuff and cannot be seen: without it nothing is left.
+    stroke = baked.strokes[0]
+    smooth = {
+        slot: replace(
+            each, library=replace(each.library, mechanics=replace(each.library.mechanics, friction_noise_n=0.0))
+        )
+        for slot, each in stroke.materials.items()
+    }
+    felt = synthesise_stroke(replace(stroke, materials=smooth), load_field(), 0, baked.report.counts)
     assert felt.signal.rms < 0.1
 
 

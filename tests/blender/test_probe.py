@@ -72,7 +72,7 @@ def test_a_place_is_told_in_files_and_report(tmp_path) -> None:
     with np.load(out / entry["tactile_map"]["numbers"], allow_pickle=False) as numbers:
         assert np.std(numbers["height_m"]) == pytest.approx(60e-6 / 8**0.5, rel=0.05)
         assert numbers["image"].shape == (*numbers["mask"].shape, 3)
-    assert report["counts"]["renders"] == 1
+    assert report["counts"]["renders"] == 2  # the close-up, and the small view that chooses its sampling
     assert report["counts"]["network_calls"] == 0
     assert scene.read_bytes() == before
     assert not list(out.glob("*.wav"))

@@ -12,7 +12,7 @@ import hnf_blender.ui
 from hnf_blender.props import scene_settings
 from hnf_blender.props.scene_settings import get_actuator_profile, get_shown_profile
 from hnf_blender.ui.actuator_panel import HNF_PT_actuator
-from hnf_blender.ui.export_panel import HNF_PT_export
+from hnf_blender.ui.preview_panel import HNF_PT_export
 from hnf_core.actuators.profile import GENERIC, ActuatorProfile
 from hnf_core.actuators.profile_json import write_profile
 

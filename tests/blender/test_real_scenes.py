@@ -66,13 +66,14 @@ def test_the_routes_show_what_the_maps_resolve(touched) -> None:
             shortest_mm = float(band.removesuffix(" mm")) / math.sqrt(2.0)
             assert route == "prior" or resolved_mm <= shortest_mm, (entry["name"], band, route)
         if materials is HELMET:
-            assert entry["resolved_wavelength_m"] > 1e-3
+            # Rounding and JPEG leave nothing of some normal maps.
+            assert resolved_mm > 1.0
     if materials is HELMET:
         assert report["counts"]["diffusion_calls"] == 0  # every shader has a normal map
 
 
 def test_photos_without_relief_are_read_where_they_show_enough(touched) -> None:
-    """Two texels are 0.9 mm of wood and 0.7 mm of the label; the velvet's picture shows no wave below 2.5 mm."""
+    """Two texels are 0.9 mm of wood and 0.5 mm of the label's finer side; the velvet shows no wave below 2.4 mm."""
     _, report, _, materials = touched
     if materials is HELMET:
         return
@@ -82,11 +83,11 @@ def test_photos_without_relief_are_read_where_they_show_enough(touched) -> None:
         if "predicted" in routes[entry["material"]]:
             assert [entry["routes"][band] for band in ("8 mm", "4 mm", "2 mm")] == ["predicted"] * 3
             assert entry["height_source"].startswith("estimated from image 'SheenChair")
-            assert 0.6e-3 < entry["resolved_wavelength_m"] < 1e-3
+            assert 0.5e-3 < entry["resolved_wavelength_m"] < 1e-3
         else:
             assert (entry["height_source"], entry["resolved_wavelength_m"]) == ("", None)
     assert 0 < report["counts"]["diffusion_calls"] < report["counts"]["renders"]
-    assert any("Velvet" in text and "shows no wave below 2.5 mm" in text for text in report["warnings"])
+    assert any("Velvet" in text and "shows no wave below 2.4 mm" in text for text in report["warnings"])
 
 
 def test_louder_with_speed_and_force(touched) -> None:

@@ -14,9 +14,10 @@ from predicted_scene import small_weights, use_weights
 from splat_builders import FINE_M, HALF_M, METRES, read_point_tokens, slab, slab_file
 from touch_scene import signals, touch
 
+from data_tools.write_splats import write_inria
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.bridge.scene.stored_data import UNBAKED, read_tokens
-from hnf_blender.bridge.splats import reconstruction, splat_closeup
+from hnf_blender.bridge.splats import reconstruction
 from hnf_blender.bridge.splats.reconstruction import TouchSurface, read_reconstruction
 from hnf_blender.bridge.splats.splat_closeup import HALF_PASS_SIGMAS
 from hnf_blender.bridge.splats.splat_cloud import compute_cloud_frame, get_cloud, read_cloud
@@ -26,7 +27,9 @@ from hnf_blender.state.status_tracker import StatusTracker
 from hnf_blender.touch import bake_patches
 from hnf_blender.touch.session import make_scene_session
 from hnf_core.errors import SceneError
-from hnf_core.scene.splats.reconstruct import reconstruct_surface
+from hnf_core.progress import count_work
+from hnf_core.scene.splats.gaussians import Splats
+from hnf_core.scene.splats.reconstruct import MIN_CELLS, reconstruct_surface
 
 STROKE = ("--stroke", "left-right-soft", "--on", "slab", "--scale", str(METRES))
 CELLS = 24
@@ -61,14 +64,11 @@ def ran(quick, stroke_properties, tmp_path_factory) -> Ran:
 
 
 @pytest.fixture
-def no_work(monkeypatch):
-    """Whatever reconstructs or renders splats fails."""
-
-    def fail(*_args, **_named):
-        raise AssertionError("this was done before")
-
-    monkeypatch.setattr(reconstruction, "reconstruct_surface", fail)
-    monkeypatch.setattr(splat_closeup, "render_splats", fail)
+def no_work():
+    """Nothing reconstructs or renders splats during the test: it was done before."""
+    with count_work() as work:
+        yield
+    assert (work.total("reconstructions"), work.total("splats")) == (0, 0)
 
 
 @pytest.fixture
@@ -211,38 +211,33 @@ def test_poor_reconstructions_are_said_to_be_poor(baked, tmp_path) -> None:
     assert session.get_surface(surface).notes[-1] == "object 'slab': full of holes."
 
 
+def ball_file(folder: Path, count: int) -> Path:
+    """A ball of splats."""
+    centres = np.random.default_rng(0).normal(size=(count, 3))
+    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
+    rotations, harmonics = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 1, 3))
+    parts = (centres, np.full((count, 3), 0.12), rotations, np.full(count, 0.97), harmonics)
+    write_inria(folder / "ball.ply", Splats(*(part.astype(np.float32) for part in parts)))
+    return folder / "ball.ply"
+
+
 @pytest.mark.parametrize("damage", ["none", "cut", "noise", "indices"])
-def test_a_cached_surface_is_used_if_intact_and_rebuilt_if_not(damage, tmp_path, monkeypatch) -> None:
-    calls = []
-    plain = TouchSurface(
-        np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], dtype=np.int32), np.eye(3, dtype=np.float32), ()
-    )
-
-    class Made:
-        vertices, triangles, colour = plain.vertices, plain.triangles, plain.colour
-
-        class quality:  # noqa: N801
-            warnings = ("poor",)
-
-    def counted(splats, **_named):
-        calls.append(len(splats))
-        return Made
-
-    monkeypatch.setattr(reconstruction, "reconstruct_surface", counted)
-    path = slab_file(tmp_path)
-    first = read_reconstruction(path, tmp_path / "cache")
-    (kept,) = (tmp_path / "cache").iterdir()
-    whole = kept.read_bytes()
-    if damage == "indices":
-        reconstruction._save_cached(
-            tmp_path / "cache", path, CELLS, TouchSurface(plain.vertices, plain.triangles + 1, plain.colour, ())
-        )
-    else:
-        kept.write_bytes({"none": whole, "cut": whole[:200], "noise": bytes(range(256))}[damage])
-    second = read_reconstruction(path, tmp_path / "cache")
-    assert len(calls) == (1 if damage == "none" else 2)
+def test_a_cached_surface_is_used_if_intact_and_rebuilt_if_not(damage, tmp_path) -> None:
+    path, cache = ball_file(tmp_path, 150), tmp_path / "cache"
+    with count_work() as work:
+        first = read_reconstruction(path, cache, cells=MIN_CELLS)
+        (kept,) = cache.iterdir()
+        whole, plain = kept.read_bytes(), first.surface
+        if damage == "indices":
+            shifted = TouchSurface(plain.vertices, plain.triangles + 1, plain.colour, ())
+            reconstruction._save_cached(cache, path, MIN_CELLS, shifted)
+        else:
+            kept.write_bytes({"none": whole, "cut": whole[:200], "noise": bytes(range(256))}[damage])
+        second = read_reconstruction(path, cache, cells=MIN_CELLS)
+    assert work.amounts["reconstructions"] == [150] * (1 if damage == "none" else 2)
     assert (first.was_cached, second.was_cached) == (False, damage == "none")
-    assert second.surface.warnings == ("poor",)
+    assert second.surface.warnings == first.surface.warnings
+    assert "only 150 splats" in second.surface.warnings[0]
     assert second.surface.vertices.tobytes() == plain.vertices.tobytes()
     assert kept.read_bytes() == whole
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
 from builders import add_plane, datablock_names
+from panel_recorder import Recorder, rna_of
 from stroke_builders import LINE, act, add_stroke, key, keyed_fcurves, read
 
 from hnf_blender.bridge.stroke.read_stroke import list_strokes
+from hnf_blender.ops.stroke_ops import describe_words
 from hnf_blender.props.scene_settings import find_namesake, get_active_stroke
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 
@@ -73,6 +77,37 @@ def test_add_in_words():
     assert np.allclose(action.direction[action.speed > 0.01], [-1.0, 0.0], atol=1e-3)
     with pytest.raises(RuntimeError, match="the word 'tickle' is unknown"):
         bpy.ops.hnf.stroke_add(words="tickle")
+
+
+def test_add_several_steps_in_words():
+    select(add_plane())
+    assert bpy.ops.hnf.stroke_add(words="tap twice, then rub slowly in circles") == {"FINISHED"}
+    obj = get_active_stroke(bpy.context)
+    assert obj.name == "tap-2-times-then-circle-40mm-s on Plane"
+    action = act(obj)[3]
+    assert np.sum(np.diff(action.contact.astype(int)) == 1) == 3
+    assert action.speed.max() == pytest.approx(0.04, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("words", "icon", "text"),
+    [
+        ("tap twice, then rub slowly in circles", "CHECKMARK", "tap 2 times, then circle 40mm/s"),
+        ("tickle it", "ERROR", "the word 'tickle' is unknown"),
+        ("press left to right", "ERROR", "says nothing of a press"),
+        ("  ", "INFO", "For example: tap twice"),
+    ],
+)
+def test_the_dialog_says_what_it_understood(words, icon, text):
+    recorder = Recorder()
+    operator = SimpleNamespace(layout=recorder, words=words, dialog=True, bl_rna=rna_of("hnf.stroke_add"))
+    bpy.types.HNF_OT_stroke_add.draw(operator, bpy.context)
+    assert text in recorder.words.replace("\n", " ")
+    assert recorder.props == ["words", "slot", "seed", "probe"]
+    assert describe_words(words)[0] == icon
+    select(add_plane())
+    with pytest.raises(RuntimeError, match="Say a stroke in words"):
+        bpy.ops.hnf.stroke_add(words=" ", dialog=True)
 
 
 def test_a_new_stroke_uses_the_active_surface_and_a_given_slot():
@@ -324,7 +359,6 @@ def test_the_force_graph_needs_a_window():
 
 
 def test_the_force_graph_is_cancelled_in_a_full_screen_view():
-    from types import SimpleNamespace
 
     from hnf_blender.ops.force_ops import HNF_OT_force_graph
 

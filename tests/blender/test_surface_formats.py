@@ -16,6 +16,7 @@ from touch_scene import PLATE, save_scene, touch
 from hnf_blender.bridge.scene.stored_data import FaceTokens, read_tokens, write_tokens
 from hnf_blender.bridge.stroke.surface_export import read_touched_surface
 from hnf_blender.cli import main
+from hnf_core.action.action import read_action_csv
 from hnf_core.export.gltf import decode_glb, read_glb
 from hnf_core.export.hjif import read_hjif
 from hnf_core.export.options import ImportOptions
@@ -154,6 +155,17 @@ def test_another_object_has_no_way_and_says_so(baked, tmp_path, capsys) -> None:
     assert "nothing is baked on object 'Cube'" in capsys.readouterr().out
     tree, _ = decode_glb((tmp_path / "x.glb").read_bytes(), tmp_path / "x.glb")
     assert "extensionsUsed" not in tree
+
+
+def test_the_action_of_a_touch_is_a_table(baked, tmp_path, capsys) -> None:
+    wav, blend = baked
+    out = tmp_path / "x.csv"
+    words = ["export", str(wav), "--format", "action", "--out", str(out)]
+    assert main([*words, "--scene", str(blend)]) == 0
+    assert "for hnf synth --action" in capsys.readouterr().out
+    assert read_action_csv(out).duration_s == pytest.approx(read_wav(wav).duration_s, abs=0.01)
+    assert main(words) == 2
+    assert "--scene TOUCHED.blend" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

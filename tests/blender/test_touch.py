@@ -338,7 +338,8 @@ def test_a_relief_no_surface_has_is_noted_once(tmp_path, height, unusual) -> Non
 
 
 def test_the_scale_is_reported_and_can_be_given(tmp_path, capsys) -> None:
-    ridge_plate(height=6e-3, size=12.0)
+    plate = ridge_plate(size=12.0)
+    plate.data.materials[0] = bump_material("Ridges", wavelength=0.2, height=6e-3)  # 2 mm long at a hundredth
     scene = save_scene(tmp_path / "centimetres.blend")
     code, report = touch(scene, tmp_path / "out", "--scale", "0.01", "--stroke", "left-right-soft", "--on", PLATE)
     assert code == 0

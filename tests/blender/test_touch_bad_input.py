@@ -11,7 +11,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from builders import add_mesh, add_plane, datablock_names
+from builders import add_mesh, add_plane, bump_material, datablock_names
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, touch
 
 from hnf_blender.cli import main
@@ -97,6 +97,218 @@ def test_one_bad_stroke_does_not_lose_the_others(tmp_path, capsys, spoil, words)
         assert word in errors[0]
 
 
+def spoilt(spoil):
+    """A stroke over a fine grid that `spoil` ruins; the grid's modifiers have a UV map."""
+
+    def add() -> None:
+        bpy.ops.mesh.primitive_grid_add(x_subdivisions=40, y_subdivisions=40, size=0.06, location=(0.0, 0.0, 0.5))
+        grid = bpy.context.object
+        grid.name = grid.data.name = "Ruin"
+        grid.data.materials.append(bpy.data.materials.new("Clay"))
+        spoil(grid)
+        line_stroke("Bad", centre=(0, 0, 0.5), surface=grid)
+
+    add.__name__ = getattr(spoil, "__name__", "")
+    return add
+
+
+def modified(kind: str, **settings):
+    """Give the grid a modifier 'M'."""
+
+    def spoil(grid) -> None:
+        modifier = grid.modifiers.new("M", kind)
+        for name, value in settings.items():
+            setattr(modifier, name, value() if callable(value) else value)
+
+    spoil.__name__ = kind.lower()
+    return spoil
+
+
+def add_cage():
+    bpy.ops.mesh.primitive_cube_add(size=0.2, location=(0.0, 0.0, 0.9))
+    return bpy.context.object
+
+
+def add_faces(grid, extra_vertices, faces, first: bool = False) -> None:
+    """Join more faces to the grid's own vertices, in front of its faces or behind."""
+    own = [tuple(face.vertices) for face in grid.data.polygons]
+    points = [tuple(vertex.co) for vertex in grid.data.vertices]
+    material = grid.data.materials[0]
+    mesh = bpy.data.meshes.new("Ruin")
+    mesh.from_pydata([*points, *extra_vertices], [], [*faces, *own] if first else [*own, *faces])
+    grid.data = mesh
+    mesh.materials.append(material)
+
+
+def add_fin(grid, column: int = 20, up: float = 0.004, first: bool = False) -> None:
+    """A wall on one line of the grid's edges, across x."""
+    count = 41
+    line = [row * count + column for row in range(count)]
+    tops = [(*grid.data.vertices[index].co[:2], up) for index in line]
+    start = len(grid.data.vertices)
+    walls = [(line[i], line[i + 1], start + i + 1, start + i) for i in range(count - 1)]
+    add_faces(grid, tops, walls, first)
+
+
+def add_inner_wall(grid) -> None:
+    add_fin(grid, up=-0.004, first=True)
+
+
+def double_faces(grid) -> None:
+    add_faces(grid, [], [tuple(face.vertices) for face in grid.data.polygons][800:820])
+
+
+def join_two_shells(grid) -> None:
+    """A second sheet that shares the line of edges under the stroke, and nothing else."""
+    count = 41
+    line = [20 * count + column for column in range(count)]
+    sides = [
+        [(grid.data.vertices[i].co.x, grid.data.vertices[i].co.y + side, z) for i in line]
+        for side, z in ((0.01, -0.01), (-0.01, -0.01))
+    ]
+    start = len(grid.data.vertices)
+    walls = [
+        (line[i], line[i + 1], start + side * count + i + 1, start + side * count + i)
+        for side in (0, 1)
+        for i in range(count - 1)
+    ]
+    add_faces(grid, [*sides[0], *sides[1]], walls)
+
+
+def make_nan(grid) -> None:
+    grid.data.vertices[5].co.z = float("nan")
+
+
+def collapse_all(grid) -> None:
+    for vertex in grid.data.vertices:
+        vertex.co.y = 0.0
+
+
+def collapse_few(grid) -> None:
+    """Faces of the middle row without any width."""
+    for vertex in grid.data.vertices:
+        if abs(vertex.co.y) < 0.002:
+            vertex.co.y = 0.0
+
+
+def break_height(grid) -> None:
+    material = grid.data.materials[0] = bump_material("Old")
+    bump = next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeBump")
+    bump.inputs["Distance"].default_value = float("nan")
+
+
+def bump_of_a_kilometre(grid) -> None:
+    grid.data.materials[0] = bump_material("Old", wavelength=2e-3, height=1e3, distance=1e3)
+
+
+def crags_of_a_kilometre(grid) -> None:
+    modifier = grid.modifiers.new("M", "DISPLACE")
+    modifier.texture = bpy.data.textures.new("Crags", "CLOUDS")
+    modifier.texture.noise_scale, modifier.strength = 3e-3, 1e3
+
+
+def nodes_without_a_geometry(grid) -> None:
+    modifier = grid.modifiers.new("M", "NODES")
+    modifier.node_group = bpy.data.node_groups.new("Empty", "GeometryNodeTree")
+
+
+def nodes_with_an_error(grid) -> None:
+    """A node that reads a file, as scans are brought in, and the file is gone."""
+    modifier = grid.modifiers.new("M", "NODES")
+    tree = modifier.node_group = bpy.data.node_groups.new("Reads", "GeometryNodeTree")
+    for side in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
+    start, end, read, join = (
+        tree.nodes.new(kind)
+        for kind in ("NodeGroupInput", "NodeGroupOutput", "GeometryNodeImportSTL", "GeometryNodeJoinGeometry")
+    )
+    read.inputs[0].default_value = "/nowhere/gone.stl"
+    tree.links.new(start.outputs[0], join.inputs[0])
+    tree.links.new(read.outputs[0], join.inputs[0])
+    tree.links.new(join.outputs[0], end.inputs[0])
+
+
+FAILS = [
+    (make_nan, ("'Ruin'", "vertex (number 5) is not a number", "validate()")),
+    (modified("DISPLACE", strength=float("nan")), ("'Ruin'", "modifiers ('M')", "not a number", "Repair or remove")),
+    (modified("MASK", vertex_group="none"), ("'Ruin'", "modifiers leave no face", "Repair or remove")),
+    (nodes_without_a_geometry, ("'Ruin'", "modifiers leave no face", "Repair or remove")),
+    (modified("DISPLACE", strength=1e3), ("'Bad'", "'Ruin' stays 500 m away", "Move the curve")),
+    (collapse_all, ("'Ruin'", "none of its faces has any area", "Touch another")),
+]
+NOTED = [
+    (add_fin, ("'Ruin'", "edges with more than two faces", "Non Manifold")),
+    (add_inner_wall, ("'Ruin'", "edges with more than two faces", "Non Manifold")),
+    (double_faces, ("'Ruin'", "edges with more than two faces", "Non Manifold")),
+    (join_two_shells, ("'Ruin'", "edges with more than two faces", "Non Manifold")),
+    (collapse_few, ("'Ruin'", "without area", "Degenerate Dissolve")),
+    (break_height, ("'Old'", "'Ruin'", "height is not a number", "Check the Distance")),
+    (bump_of_a_kilometre, ("'Old'", "'Ruin'", "more than any surface is known to have", "Height as Authored")),
+    (crags_of_a_kilometre, ("'Ruin'", "m across", "Units")),
+    (modified("BOOLEAN"), ("'Ruin'", "'M' fails (its object is missing)", "Repair or remove it")),
+    (modified("HOOK"), ("'Ruin'", "'M' fails (its object is missing)", "Repair or remove it")),
+    (modified("SURFACE_DEFORM", target=add_cage), ("'Ruin'", "'M' fails (it is not bound)", "Repair or remove it")),
+    (modified("MESH_DEFORM", object=add_cage), ("'Ruin'", "'M' fails (it is not bound)", "Repair or remove it")),
+    (modified("CORRECTIVE_SMOOTH", rest_source="BIND"), ("'Ruin'", "'M' fails (it is not bound)", "Repair or remove")),
+    (modified("LAPLACIANDEFORM"), ("'Ruin'", "'M' fails (it is not bound)", "Repair or remove it")),
+    (
+        modified("MESH_CACHE", filepath="//gone.mdd"),
+        ("'Ruin'", "'M' fails (its file //gone.mdd is", "Repair"),
+    ),
+    pytest.param(
+        nodes_with_an_error,
+        ("'Ruin'", "'M' fails (STL Import: Cannot open", "Repair or remove it"),
+        marks=pytest.mark.skipif(
+            not hasattr(bpy.types, "GeometryNodeImportSTL") or bpy.app.version < (5, 0, 0),
+            reason="this Blender does not tell of errors in nodes",
+        ),
+    ),
+]
+
+
+def lines_about(report, capsys, word: str) -> list[str]:
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith(("hnf:", "note:"))]
+    return [line for line in told if word in line]
+
+
+@pytest.mark.parametrize(("spoil", "words"), FAILS, ids=lambda value: getattr(value, "__name__", ""))
+def test_a_ruined_mesh_is_named_and_the_others_are_felt(tmp_path, capsys, spoil, words) -> None:
+    code, report, _ = good_and_bad(tmp_path, spoilt(spoil))
+    assert code == 1
+    assert [entry["name"] for entry in report["strokes"]] == ["Good"]
+    (line,) = lines_about(report, capsys, "'Ruin'")
+    for word in words:
+        assert word in line
+
+
+@pytest.mark.parametrize(("spoil", "words"), NOTED, ids=lambda value: getattr(value, "__name__", ""))
+def test_what_is_odd_about_a_mesh_is_said_in_one_line(tmp_path, capsys, spoil, words) -> None:
+    """And both strokes are delivered."""
+    code, report, _ = good_and_bad(tmp_path, spoilt(spoil))
+    assert code == 0
+    assert {entry["name"] for entry in report["strokes"]} == {"Good", "Bad"}
+    assert all(0.05 < entry["rms_m_s2"] < 20.0 for entry in report["strokes"])
+    (line,) = lines_about(report, capsys, words[-2])
+    for word in words:
+        assert word in line
+
+
+def test_only_bad_edges_under_the_stroke_are_said(tmp_path, capsys) -> None:
+    """A fin 25 mm beside the path is no matter of it; strokes that meet it say one line between them."""
+    code, report, _ = good_and_bad(tmp_path, spoilt(lambda grid: add_fin(grid, column=39)))
+    assert code == 0
+    assert not lines_about(report, capsys, "more than two faces")
+
+
+def test_strokes_over_one_bad_mesh_share_the_line(tmp_path, capsys) -> None:
+    spoilt(add_fin)()
+    line_stroke("Other", centre=(0, 0.008, 0.5), surface=bpy.data.objects["Ruin"])
+    code, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
+    assert code == 0
+    assert len(report["strokes"]) == 2
+    assert len(lines_about(report, capsys, "more than two faces")) == 1
+
+
 @pytest.mark.parametrize("content", [None, b"", b"not a blend file at all", b"BLENDER-v500 cut short"])
 def test_a_scene_that_cannot_be_opened(tmp_path, capsys, content) -> None:
     scene = tmp_path / "broken.blend"
@@ -124,7 +336,7 @@ def test_unknown_names_are_answered_with_what_is_there(tmp_path, capsys) -> None
     [
         ("--stroke", "rub-slow"),
         ("--on", PLATE),
-        ("--stroke", "wave", "--on", PLATE),
+        ("--stroke", "juggle", "--on", PLATE),
         ("--scale", "-1"),
         ("--material", "x"),
     ],

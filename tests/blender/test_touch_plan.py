@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
-from touch_scene import PLATE, ridge_plate, save_scene, touch
+from test_fewest_pixels import plate
+from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.cli import main
 
@@ -54,3 +57,16 @@ def test_the_parts_and_the_whole_are_counted_alike(tmp_path, capsys) -> None:
     assert said.count("at most 7 close-ups (not baked yet)") == 2
     assert "In all at most 14 close-ups and 2 pictures, about " in said
     assert "renders" not in said
+
+
+@pytest.mark.parametrize("texel_m", [50e-6, 0.1e-3, 1e-3])
+def test_no_run_renders_more_than_its_plan_says(tmp_path, capsys, texel_m) -> None:
+    """A first look, a closer one, and the small view that chooses its sampling."""
+    plate(texel_m)
+    line_stroke(length=0.005)
+    scene = save_scene(tmp_path / "scene.blend")
+    capsys.readouterr()
+    assert main(["touch", str(scene), "--plan", "--json"]) == 0
+    most = json.loads(capsys.readouterr().out)["estimate"]["renders_at_most"]
+    _, report = touch(scene, tmp_path / "out")
+    assert report["counts"]["renders"] <= most

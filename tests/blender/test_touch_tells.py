@@ -63,7 +63,7 @@ def test_a_probe_is_one_place(tmp_path, capsys) -> None:
     scene = save_scene(tmp_path / "scene.blend")
     assert touch(scene, tmp_path / "out", "--at", f"{PLATE}:0.01,0.02")[0] == 0
     said = capsys.readouterr().out
-    assert f"Done: 1 place in {tmp_path / 'out'}. It took 1 rendered image." in said
+    assert f"Done: 1 place in {tmp_path / 'out'}. It took 2 rendered images." in said
     assert "Listen" not in said
 
 

@@ -10,6 +10,8 @@ import pytest
 from touch_scene import PLATE, ridge_plate, save_scene, signals, touch
 
 from hnf_blender.bridge.stroke.read_stroke import read_stroke
+from hnf_blender.cli import main
+from hnf_core.action.action import read_action_csv
 from hnf_core.action.parse_stroke import FORCE_LIMITS_N
 from hnf_core.export.wav import read_wav
 
@@ -53,6 +55,27 @@ def test_direction_force_and_speed_are_those_said(tmp_path) -> None:
     np.testing.assert_allclose(stroke.samples.tangent, np.tile([-1.0, 0.0, 0.0], (len(stroke.frames), 1)), atol=1e-3)
     code, again = touch(scene, out, *words)
     assert (code, again["strokes"][0]["fresh"]) == (0, True)
+
+
+def test_taps_and_steps_go_through_the_whole_job(tmp_path) -> None:
+    """Two taps are two bursts with silence between them; the table of the touch says the same."""
+    ridge_plate()
+    scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
+    code, report = touch(scene, out, "--stroke", "tap twice hard, then slide slowly to the left", "--on", PLATE)
+    assert code == 0
+    (entry,) = report["strokes"]
+    assert entry["name"] == f"tap-2-times-2n-then-line-right-left-etc on {PLATE}"
+    samples = signals(out, report)[entry["name"]].samples
+    rms = [float(np.sqrt(np.mean(samples[round(1e4 * a) : round(1e4 * b)] ** 2))) for a, b in
+           ((0.04, 0.14), (0.35, 0.5), (0.54, 0.64), (0.85, 0.95), (1.3, 2.3))]  # fmt: skip
+    assert min(rms[0], rms[2], rms[4]) > 10.0 * max(rms[1], rms[3])
+    table = tmp_path / "said.csv"
+    words = ["export", str(out / entry["wav"]), "--format", "action", "--out", str(table)]
+    assert main([*words, "--scene", str(out / report["baked_blend"])]) == 0
+    action = read_action_csv(table)
+    assert np.sum(np.diff(action.contact.astype(int)) == 1) == 3
+    assert action.force.max() == pytest.approx(2.0, rel=1e-4)
+    assert action.speed.max() == pytest.approx(0.04, rel=1e-2)
 
 
 def test_out_of_range_is_in_the_report_and_stays_there(tmp_path) -> None:

@@ -11,7 +11,7 @@ from hnf_core.field import carrier_rendering
 from hnf_core.field.carrier_rendering import Knots, render_carriers_full_rate, sum_time_carriers
 from hnf_core.field.live.hand_tracker import LiveState
 from hnf_core.field.live.synthesis import LiveSynthesis
-from hnf_core.field.prepare import prepare_stroke
+from hnf_core.field.prepare import PreparedStroke, prepare_stroke
 from hnf_core.field.render import render_contact
 from hnf_core.field.stroke import StrokeInput, interpolate_position, uniform_stroke
 from hnf_core.field.weights import load_field
@@ -52,14 +52,22 @@ def offline(stroke: StrokeInput) -> np.ndarray:
     with without_kernel():
         place, octaves = interpolate_position(prepared.action, 0, count), list(range(carriers.arc_octaves))
         out += carrier_rendering._sum_arc_bands(near, carriers, SEED, octaves, place, when)
-    return prepared.audible * (out + render_contact(prepared, 0, count))
+    return prepared.audible * (out + tones_of(prepared) + render_contact(prepared, 0, count))
+
+
+def tones_of(prepared: PreparedStroke) -> np.ndarray | float:
+    """What a regular surface sounds at, at every sample."""
+    if prepared.course.lines is None or prepared.tone_amplitude is None:
+        return 0.0
+    knots = BLOCK * np.arange(len(prepared.tone_amplitude))
+    return prepared.course.lines.render(prepared.action, knots, prepared.tone_amplitude, 0, prepared.count)
 
 
 def as_the_model_says(stroke: StrokeInput) -> np.ndarray:
     """The same, every carrier plainly in float64."""
     prepared = prepare_stroke(load_field(), stroke, seed=SEED)
     out = render_carriers_full_rate(prepared.amplitude, prepared.carriers, SEED, prepared.action, 0, prepared.count)
-    return prepared.audible * (out + render_contact(prepared, 0, prepared.count))
+    return prepared.audible * (out + tones_of(prepared) + render_contact(prepared, 0, prepared.count))
 
 
 def states(stroke: StrokeInput) -> list[LiveState]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hnf_core.text import pluralize
+from hnf_core.errors import pluralize
 
 
 def test_one_is_singular() -> None:

@@ -33,7 +33,7 @@ LAYERS = (
     ("training",),
     ("export",),
     ("actuators",),
-    ("batch", "diagnostics", "touch_request"),
+    ("batch", "diagnostics", "study", "touch_request"),
     ("api", "cli"),
 )
 LAYER_OF = {package: layer for layer, packages in enumerate(LAYERS) for package in packages}

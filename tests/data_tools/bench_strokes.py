@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.field import field as field_module
 from hnf_core.field import noise_cache
-from hnf_core.field.field import run_network
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
-from hnf_core.kernel.compiled_field import Layers
 from hnf_core.material.library import get_material
+from hnf_core.progress import count_work
 
 
 def clear_carrier_caches() -> None:
@@ -63,17 +59,6 @@ def make_scrape(seconds: float, contact_s: float | None = None) -> StrokeInput:
 
 @contextmanager
 def count_states() -> Iterator[list[int]]:
-    """Yield a list that grows by the number of states at every evaluation of F_Θ."""
-    counts: list[int] = []
-    evaluate = Layers.evaluate
-
-    def counted(parameters: Any, layers: int, x: Any) -> Any:
-        counts.append(len(x))
-        return run_network(parameters, layers, x)
-
-    def counted_in_kernel(self: Layers, kernel: Any, x: Any) -> Any:
-        counts.append(len(x))
-        return evaluate(self, kernel, x)
-
-    with patch.object(field_module, "run_network", counted), patch.object(Layers, "evaluate", counted_in_kernel):
-        yield counts
+    """Yield a list that grows by the number of states at every evaluation of F_Θ, for the laboratory's benches."""
+    with count_work() as work:
+        yield work.amounts["states"]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hnf_core.action.action import Action
 from hnf_core.errors import UsageError
 from hnf_core.field.carriers import ARC_BLOCK, TIME_BLOCK, Carriers
+from hnf_core.field.contact.lattice_lines import HARMONICS
 from hnf_core.field.field import Field, evaluate
 from hnf_core.field.prepare import prepare_stroke
 from hnf_core.field.render import render_contact
@@ -19,11 +20,13 @@ from hnf_core.field.render_weights import render_weights
 from hnf_core.field.stroke import (
     SAMPLES_PER_STATE,
     StrokeInput,
+    find_peak_speed,
     interpolate_condition,
     interpolate_cubic,
     resample_action,
     sample_count,
 )
+from hnf_core.field.tones import LineCourse, compute_tone_offsets, follow_lines
 
 Float = NDArray[np.float64]
 
@@ -56,13 +59,15 @@ def texture_reference(
     """Evaluate Σ_n w_n Σ_k A_k c_k without approximation; returns (count,)."""
     config, carriers = field.config, field.config.carriers
     lag = config.stride * SAMPLES_PER_STATE
+    lines = follow_lines(stroke.tokens, stroke.mechanics, action, token_index, seed) if config.line_gains else None
+    token_lines = None if lines is None else lines.lines
     out = np.zeros(count)
     for offset in range(0, count, 500):
         sample = start + offset + np.arange(min(500, count - offset))
         emissions = []
         for n in range(config.states if config.accumulation == "past" else 1):
             past = sample - n * lag
-            emission = evaluate(field, interpolate_condition(stroke, action, token_index, past))
+            emission = evaluate(field, interpolate_condition(stroke, action, token_index, past, None, token_lines))
             emissions.append((np.where(past[:, None, None] < 0, 0.0, emission.alpha), emission.sigma_dt))
         if config.accumulation == "past":
             sigma = np.stack([emission[1][:, n] for n, emission in enumerate(emissions)], axis=1)
@@ -73,10 +78,32 @@ def texture_reference(
             weights = render_weights(sigma)
             terms = [(n, weights[:, n, None] * alpha[:, n]) for n in range(config.states)]
         total = np.zeros(len(sample))
+        if lines is not None:
+            total += tones_at(lines, action, terms[0][1][:, carriers.count :], sample)
         for delay, amplitude in terms:
             position = interpolate_cubic(action.position, (sample - delay) / SAMPLES_PER_STATE)
-            total += np.einsum("ik,ik->i", amplitude, carriers_at(carriers, seed, sample - delay, position))
+            total += np.einsum(
+                "ik,ik->i", amplitude[:, : carriers.count], carriers_at(carriers, seed, sample - delay, position)
+            )
         out[offset : offset + len(sample)] = total
+    return out
+
+
+def tones_at(lines: LineCourse, action: Action, amplitude: Float, sample: NDArray[np.intp]) -> Float:
+    """Evaluate the tones of amplitudes (count, tones) at every sample."""
+    amplitude, out = amplitude.copy(), np.zeros(len(sample))
+    lines.silence_others(amplitude, sample, find_peak_speed(action))
+    state = np.minimum(sample // SAMPLES_PER_STATE, len(action.speed) - 2)
+    position = interpolate_cubic(action.position, sample / SAMPLES_PER_STATE)
+    way, offsets = position - action.position[state], compute_tone_offsets(lines.lines)
+    displacement = np.zeros((2, len(sample))) if lines.displacement is None else lines.displacement.evaluate(position)
+    for line in range(lines.turns.shape[1]):
+        between = 0.5 * (lines.wavenumber[state, line] + lines.wavenumber[state + 1, line])
+        turns = lines.turns[state, line] + between * way + (lines.scatter[state, :, line].T * displacement).sum(axis=0)
+        for order, harmonic in enumerate(HARMONICS):
+            number = line * len(HARMONICS) + order
+            phase = 2.0 * np.pi * (harmonic * turns + offsets[number])
+            out += np.sqrt(2.0) * amplitude[:, number] * np.sin(phase)
     return out
 
 

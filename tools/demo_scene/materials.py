@@ -176,12 +176,12 @@ def make_brushed_metal() -> Any:
 
 
 def make_terracotta() -> Any:
-    """Make fired clay: grain from 1.6 mm down to 0.05 mm, about 0.4 of the noise's 62 µm range, with pits."""
+    """Make fired clay: grain from 1.6 mm down to 0.05 mm, about 0.4 of the noise's 26 µm range, with pits."""
     s = ShaderBuilder("Terracotta", Roughness=0.88, Specular_IOR_Level=0.2)
     grain = s.noise(1.6 * MM, detail=5.0, rough=0.7)
     pits = s.step(s.cells(3.2 * MM, "F1"), 0.06, 0.16)
-    s.add_bump(62 * UM, grain, "Grain")
-    s.add_bump(24 * UM, pits, "Pits")
+    s.add_bump(26 * UM, grain, "Grain")
+    s.add_bump(10 * UM, pits, "Pits")
     tone = s.add_values(s.math("MULTIPLY", s.noise(45 * MM, detail=6.0), 0.8), s.math("MULTIPLY", grain, 0.3))
     clay = s.ramp(tone, (0.3, (0.33, 0.105, 0.045)), (0.55, (0.47, 0.170, 0.080)), (0.8, (0.60, 0.275, 0.155)))
     dark = s.add("ShaderNodeMix", data_type="RGBA", blend_type="MULTIPLY")

@@ -1,7 +1,8 @@
 """Close-ups: a square of surface (patch) in orthographic view, with the height and appearance that its shader defines.
 
 Cycles takes one sample at each pixel's center, of the touched object alone, and every quantity is an AOV pass. A first
-pass with few pixels measures the texels of the images behind the shader, which determine the resolution of the second.
+pass with few pixels measures the texels of the images behind the shader, which determine the resolution of the second;
+a look at the middle with small pixels tells whether a relief is finer than a patch's pixels and would fold.
 Only pixels connected to the patch's center without a step in depth count as its surface.
 """
 
@@ -11,104 +12,69 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hnf_core.errors import pluralize
+from hnf_core.material.band_descriptor import find_noise_cutoff, measure_octave_heights
 from hnf_core.material.library import Appearance
+from hnf_core.material.token import BAND_WAVELENGTHS_M
 from hnf_core.scene.camera import CAMERA_DISTANCE_M, Camera, Patch
-from hnf_core.scene.mesh import crop_mesh
+from hnf_core.scene.mesh import crop_mesh, has_area, has_crowded_edge
 from hnf_core.scene.raycast import CastView, RayCaster, cast_view
 from hnf_core.scene.rgbd_view import RgbdView
-from hnf_core.tactile.height import height_from_slopes
+from hnf_core.tactile.fourier_filters import decimate, restore_texels
+from hnf_core.tactile.height import fill_masked, height_from_slopes
+from hnf_core.tactile.mesh_relief import (
+    GRID,
+    FaceSpacing,
+    MeshRelief,
+    add_heights,
+    compute_mesh_relief,
+    describe_mesh_relief,
+    find_fine_faces,
+)
 
 from ..scene.meshes import Surface, make_ray_caster
 from ..scene.temp_scene import TemporaryScene
-from ..shader.aov_taps import Constant, Passes, compute_resolved_wavelength, find_finest_texel
-from ..shader.bump_displacement import MicroGeometry, Relief, Slopes
+from ..shader.aov_taps import (
+    ImageTap,
+    Passes,
+    compute_resolved_wavelength,
+    find_finest_texel,
+    find_texel_grid,
+    measure_image_step,
+)
+from ..shader.bump_displacement import MicroGeometry, Relief, Slopes, judge_normal_colour
 from ..shader.closures import (
     Layers,
     average_appearance,
     list_closures,
-    list_mix_factors,
     mix_closures,
     read_shading_value,
 )
-from .cycles import add_aovs, add_camera, configure_cycles, disable_lighting, render_passes, set_camera
+from .closeup_resolution import choose_mesh_side, choose_resolution, get_relief_sources, is_image_based
+from .cycles import (
+    FILTER_REACH,
+    PLAIN_SAMPLING,
+    ZOOM,
+    ZOOM_PIXELS,
+    Sampling,
+    add_aovs,
+    add_camera,
+    choose_sampling,
+    configure_cycles,
+    disable_lighting,
+    erode,
+    render_passes,
+    set_camera,
+)
 from .isolated_object import IsolatedObject, SlotReading, instrument_slot, isolate_object
-from .unlit_image import MAX_READABLE_WAVELENGTH_M, UnlitImage, make_unlit_image
+from .unlit_image import UnlitImage, make_unlit_image
 
 Mask = NDArray[np.bool_]
-
-PIXELS_PER_TEXEL = 3.0
-"""Pixels per texel of an image from which a relief is read. Images are interpolated by cubic splines, which leave
-almost nothing beyond their texels; docs/benchmarks.md shows the effect of fewer pixels."""
-PIXELS_PER_TRIANGLE = 16
-"""Mean number of pixels per triangle, at which hardly a face under the patch is missed."""
-
-
-def get_relief_sources(slot: SlotReading) -> tuple[Relief | Slopes, ...]:
-    """Return what shapes a material slot's surface: reliefs (bump, displacement) and slopes (normal maps)."""
-    micros = [closure.micro for closure in list_closures(slot.reading.layers)] + [slot.reading.displacement]
-    return tuple(chain.from_iterable((*micro.reliefs, *micro.slopes) for micro in micros))
-
-
-def is_image_based(slot: SlotReading) -> bool:
-    """Return True if all detail of a material slot is in images, whose texels a first render can measure.
-
-    If shaders are mixed, the mix factors must be constant, as their own detail is not measured.
-    """
-    if slot.colour is not None:
-        return bool(slot.colour.images) and not (slot.colour.procedural or slot.colour.painted)
-    sources = get_relief_sources(slot)
-    if not all(source.images and source.texel_limited and not source.procedural for source in sources):
-        return False
-    return bool(sources) and all(isinstance(factor, Constant) for factor in list_mix_factors(slot.reading.layers))
-
-
-def choose_resolution(
-    slot: SlotReading, passes: Passes, mask: Mask, triangle: NDArray[np.int32], size_m: float, max_pixels: int
-) -> int:
-    """Return the image side [pixels] beyond which a slot's images show nothing more, at most `max_pixels`.
-
-    It is `max_pixels` if the size of the texels is unknown, or if the slot has no relief and its color image is fine
-    enough for a relief to be predicted from it.
-
-    Parameters
-    ----------
-    slot : SlotReading
-        The patch's material slot.
-    passes : Passes
-        AOV passes (H, W) of the first, coarse render.
-    mask : (H, W) bool array
-        The patch's own surface.
-    triangle : (H, W) int array
-        Triangle at each pixel.
-    size_m : float
-        Side of the patch [m].
-    max_pixels : int
-        Maximum side [pixels].
-
-    Returns
-    -------
-    int
-    """
-    side = mask.shape[1]
-    if not mask.any():
-        return max_pixels
-    sources = get_relief_sources(slot) if slot.colour is None else (slot.colour,)
-    texel = find_finest_texel(sources, passes, mask, size_m / side)
-    if not np.isfinite(texel) or (slot.colour is not None and 2.0 * texel <= MAX_READABLE_WAVELENGTH_M):
-        return max_pixels
-    while side < max_pixels and (
-        size_m / side > texel / PIXELS_PER_TEXEL
-        or mask.sum() * (side / mask.shape[1]) ** 2 < PIXELS_PER_TRIANGLE * len(np.unique(triangle[mask]))
-    ):
-        side *= 2
-    return min(side, max_pixels)
-
 
 MAX_SURFACE_SLOPE = 4.0
 """Depth step per pixel size between neighboring pixels above which they belong to two surfaces (76°)."""
@@ -155,6 +121,8 @@ Float = NDArray[np.float64]
 
 MIN_RELIEF_M = 1e-9
 """Peak-to-peak height below which a shader has no micro-geometry [m]."""
+MIN_MESH_SIDE = 128
+"""Least side of an image in which relief of the mesh is looked for [pixels]."""
 APPEARANCE_PIXELS = 128
 """Side of a close-up [pixels] if the shader has no relief and one color, so that only mean shading values and covered
 faces are needed."""
@@ -173,7 +141,8 @@ class CloseUp:
     view : RgbdView
         Albedo, planar depth, evaluated polygon ids, and shading normals in the surface frame.
     height : (H, W) float32 array or None
-        Height along the patch's normal [m], with mean 0 under `mask`, 0 elsewhere; None without micro-geometry.
+        Height along the patch's normal [m], with mean 0 under `mask`, 0 elsewhere: that of the shader, and
+        the relief of the mesh. None without either.
     height_source : str
         Description of the height's source.
     appearance : Appearance
@@ -181,16 +150,20 @@ class CloseUp:
     mask : (H, W) bool array
         Pixels of the patch's own connected surface and material slot.
     resolved_wavelength_m : float
-        Shortest wavelength of the height [m]: two texels of its finest image, two pixels if procedural; inf without
-        height.
+        Shortest wavelength of the height [m]: two texels of its finest image, two pixels if procedural, four faces of
+        the mesh; inf without height.
     notes : tuple of str
         Remarks for the user.
     faces : int32 array
         Evaluated polygons under `mask`.
     rays, renders : int
-        Number of rays cast and renders made for it, the first pass included.
+        Number of rays cast and renders made for it, the first pass included, and for a slot's first patch the small
+        view that chooses the sampling of all of them.
     unlit : UnlitImage or None
         Unlit image, if the shader has no micro-geometry and its color varies.
+    mesh_bands, empty_bands : tuple of bool
+        For each wavelength band of a token, True if the mesh gives most of the height, and True if nothing does; both
+        are () if the mesh gives none.
     """
 
     patch: Patch
@@ -205,6 +178,8 @@ class CloseUp:
     rays: int
     renders: int
     unlit: UnlitImage | None = None
+    mesh_bands: tuple[bool, ...] = ()
+    empty_bands: tuple[bool, ...] = ()
 
     @property
     def metres_per_pixel(self) -> float:
@@ -261,6 +236,8 @@ class CloseUpRenderer:
         self._wait_for_threads = wait_for_threads
         self._exit_stack = ExitStack()
         self._scene: _CloseUpScene | None = None
+        self._sampling: dict[int, Sampling] = {}
+        self._zoomed: _MaskedPatch | None = None
 
     def __enter__(self) -> CloseUpRenderer:
         return self
@@ -275,19 +252,41 @@ class CloseUpRenderer:
         """
         if self._scene is None:
             self._scene = self._make_scene()
-        scene, first_side = self._scene, self._first_pass_pixels
+        scene, first_side, self._zoomed = self._scene, self._first_pass_pixels, None
         slot = scene.slots[patch.slot]
         side = self._pixels if _has_detail(slot) else min(self._pixels, APPEARANCE_PIXELS)
-        if first_side is None or first_side >= side or not is_image_based(slot):
-            return _build_closeup(self._render_pass(scene, patch, side), scene.surface)
-        first_pass = self._render_pass(scene, patch, first_side)
-        cast, passes = first_pass.rendered.cast, first_pass.rendered.passes
-        needed = choose_resolution(slot, passes, first_pass.mask, cast.triangle, patch.size_m, side)
-        if needed <= first_side:
-            return _build_closeup(first_pass, scene.surface)
-        second_pass = self._render_pass(scene, patch, needed)
-        total_rays, total_renders = first_pass.rays + second_pass.rays, first_pass.renders + second_pass.renders
-        return _build_closeup(replace(second_pass, rays=total_rays, renders=total_renders), scene.surface)
+        is_first_look = first_side is not None and first_side < side and is_image_based(slot)
+        if is_first_look and first_side is not None:
+            side = first_side
+        first_pass = self._render_pass(scene, patch, side, self._choose_sampling(scene, patch, side, is_first_look))
+        needed = self._choose_second_side(scene, first_pass)
+        passes = [first_pass]
+        if needed > side:
+            sampling = self._choose_sampling(scene, patch, needed, is_first_look, first_pass)
+            passes.append(self._render_pass(scene, patch, needed, sampling))
+        made = passes if self._zoomed is None else [*passes, self._zoomed]
+        rays, renders = sum(each.rays for each in made), sum(each.renders for each in made)
+        return _build_closeup(replace(passes[-1], rays=rays, renders=renders), scene.surface)
+
+    def _choose_second_side(self, scene: _CloseUpScene, first_pass: _MaskedPatch) -> int:
+        """Return the image side [pixels] that a patch needs after its first pass, at most `pixels`.
+
+        Its images may have finer texels, and its mesh finer relief, than the first pass shows.
+        """
+        rendered, mask = first_pass.rendered, first_pass.mask
+        side = mask.shape[1]
+        if side >= self._pixels:
+            return side
+        needed = side
+        if is_image_based(rendered.slot):
+            cast, size = rendered.cast, rendered.patch.size_m
+            needed = choose_resolution(rendered.slot, rendered.passes, mask, cast.triangle, size, self._pixels)
+        spacing = first_pass.spacing
+        finest = needed if spacing is None else choose_mesh_side(needed, rendered.patch.size_m, spacing)
+        if spacing is None or finest <= needed:
+            return min(needed, self._pixels)
+        relief = _measure_mesh_relief(rendered, mask, spacing, scene.surface, cut=False)
+        return min(needed if relief is None else finest, self._pixels)
 
     def _make_scene(self) -> _CloseUpScene:
         """Make the temporary scene, with an AOV for every quantity of the patches' slots."""
@@ -300,6 +299,7 @@ class CloseUpRenderer:
             temporary, self._obj, self._metres_per_unit, self._frame, self._surface, self._view_layer
         )
         surface = isolated.surface if self._caster is not None else crop_to_patches(isolated.surface, self._patches)
+        isolated = replace(isolated, notes=(*isolated.notes, *_describe_bad_faces(surface, self._patches)))
         caster = self._caster or make_ray_caster(surface.mesh)
         slot_numbers = sorted({patch.slot for patch in self._patches})
         slots = {number: instrument_slot(isolated, number, where) for number in slot_numbers}
@@ -308,7 +308,34 @@ class CloseUpRenderer:
         temporary.scene.render.use_persistent_data = len(self._patches) > 1
         return _CloseUpScene(temporary, isolated, surface, caster, slots, camera)
 
-    def _render_pass(self, scene: _CloseUpScene, patch: Patch, side: int) -> _MaskedPatch:
+    def _choose_sampling(
+        self, scene: _CloseUpScene, patch: Patch, side: int, image_based: bool, first_pass: _MaskedPatch | None = None
+    ) -> Sampling:
+        """Choose how finely an image of `side` pixels samples a slot's relief.
+
+        By a small view, if the slot is procedural, or if the first pass over its images shows texels finer than pixels.
+        """
+        slot = scene.slots[patch.slot]
+        if not image_based:
+            return self._look_closely(scene, patch, side) if _is_procedural(slot) else PLAIN_SAMPLING
+        if first_pass is None or slot.colour is not None:
+            return PLAIN_SAMPLING
+        rendered = first_pass.rendered
+        finest = find_finest_texel(get_relief_sources(slot), rendered.passes, first_pass.mask, rendered.pixel_m)
+        return self._look_closely(scene, patch, side) if finest < 0.9 * patch.size_m / side else PLAIN_SAMPLING
+
+    def _look_closely(self, scene: _CloseUpScene, patch: Patch, side: int) -> Sampling:
+        """Choose the sampling of a slot's relief by a view of the middle of its first patch."""
+        if patch.slot not in self._sampling:
+            size_m = patch.size_m / side / ZOOM * ZOOM_PIXELS
+            self._zoomed = zoomed = self._render_pass(scene, replace(patch, size_m=size_m), ZOOM_PIXELS)
+            height, _ = _read_height(zoomed.rendered, zoomed.mask, [])
+            self._sampling[patch.slot] = choose_sampling(height, zoomed.mask, zoomed.rendered.pixel_m)
+        return self._sampling[patch.slot]
+
+    def _render_pass(
+        self, scene: _CloseUpScene, patch: Patch, side: int, sampling: Sampling = PLAIN_SAMPLING
+    ) -> _MaskedPatch:
         """Cast rays and render one image of a patch."""
         try:
             camera, clip_rays = make_unoccluded_camera(patch, side, scene.caster)
@@ -318,13 +345,20 @@ class CloseUpRenderer:
         passes: Passes = {}
         slot = scene.slots[patch.slot]
         if slot.taps:
-            set_camera(
-                scene.temporary.scene, scene.camera, camera, scene.isolated.rigid, scene.isolated.metres_per_unit
-            )
+            fine = replace(patch.camera(side * sampling.factor), clip_start=camera.clip_start)
+            set_camera(scene.temporary.scene, scene.camera, fine, scene.isolated.rigid, scene.isolated.metres_per_unit)
             passes = render_passes(scene.temporary)
-        rendered = _RenderedPatch(patch, camera, cast, passes, slot, scene.isolated, self._metres_per_unit)
+            if sampling.factor > 1:
+                names = {tap.name for tap in slot.taps}
+                passes = {name: decimate(passes[name], sampling.factor) for name in names & passes.keys()}
+        rendered = _RenderedPatch(
+            patch, camera, cast, passes, slot, scene.isolated, self._metres_per_unit, sampling.folded_m
+        )
         mask = _mask_patch_surface(rendered, scene.surface)
-        return _MaskedPatch(rendered, mask, clip_rays + cast.depth.size, 1 if passes else 0)
+        if sampling.factor > 1 and not mask.all():
+            mask = erode(mask, FILTER_REACH)  # where the filter reaches beyond the surface
+        spacing = _find_fine_faces(rendered, mask, scene.surface)
+        return _MaskedPatch(rendered, mask, clip_rays + cast.depth.size, 1 if passes else 0, spacing)
 
 
 @dataclass(frozen=True)
@@ -345,22 +379,44 @@ def crop_to_patches(surface: Surface, patches: Sequence[Patch]) -> Surface:
     return replace(surface, mesh=mesh) if len(mesh.triangles) else surface
 
 
+def _describe_bad_faces(surface: Surface, patches: Sequence[Patch]) -> tuple[str, ...]:
+    """Return notes on faces without area near the patches, which no ray meets, and on edges that many faces share."""
+    mesh, notes = surface.mesh, []
+    with_area = has_area(mesh.corner_positions())
+    count = len(np.setdiff1d(mesh.face[~with_area], mesh.face[with_area]))
+    if count:
+        notes.append(
+            f"object '{surface.object_name}' has {pluralize(count, 'face')} without area near what is touched, which "
+            "cannot be felt. Mesh > Clean Up > Degenerate Dissolve removes them."
+        )
+    reach_m = max((patch.size_m for patch in patches), default=0.0) * np.sqrt(0.5)
+    if patches and has_crowded_edge(mesh, [patch.centre for patch in patches], reach_m):
+        # No number of edges, so that strokes over other parts of the object say the same.
+        notes.append(
+            f"object '{surface.object_name}' has edges with more than two faces where it is touched: which of them is "
+            "felt there is uncertain. In Edit Mode, Select > All by Trait > Non Manifold shows them; delete the "
+            "faces that are too many."
+        )
+    return tuple(notes)
+
+
+def _is_procedural(slot: SlotReading) -> bool:
+    """Return True if a slot's relief may be finer than any image of it."""
+    return any(source.procedural or not source.texel_limited for source in get_relief_sources(slot))
+
+
 def _has_detail(slot: SlotReading) -> bool:
     """Return True if a material slot has a relief (bump, displacement, normal map) or a varying color."""
     return slot.colour is not None or bool(get_relief_sources(slot))
 
 
 @dataclass(frozen=True)
-class _RenderedPatch:
-    """A patch with its render passes and ray casts."""
+class _CastPatch:
+    """A patch with its ray casts."""
 
     patch: Patch
     camera: Camera
     cast: CastView
-    passes: Passes
-    slot: SlotReading
-    isolated: IsolatedObject
-    metres_per_unit: float
 
     @property
     def pixel_m(self) -> float:
@@ -368,13 +424,28 @@ class _RenderedPatch:
 
 
 @dataclass(frozen=True)
+class _RenderedPatch(_CastPatch):
+    """A patch with its ray casts and render passes."""
+
+    passes: Passes
+    slot: SlotReading
+    isolated: IsolatedObject
+    metres_per_unit: float
+    folded_m: float = 0.0
+
+
+@dataclass(frozen=True)
 class _MaskedPatch:
-    """A rendered patch with the mask of its own surface, and the rays and renders used, first passes included."""
+    """A rendered patch with the mask of its own surface, and the rays and renders used, first passes included.
+
+    `spacing` is that of its faces where they are fine enough for relief, None if they nowhere are.
+    """
 
     rendered: _RenderedPatch
     mask: Mask
     rays: int
     renders: int
+    spacing: FaceSpacing | None
 
 
 def make_unoccluded_camera(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, int]:
@@ -395,6 +466,14 @@ def _build_closeup(masked: _MaskedPatch, surface: Surface) -> CloseUp:
     layers = rendered.slot.reading.layers
     notes = [*rendered.isolated.notes, *rendered.slot.reading.notes]
     height, source, resolved = _compute_height(rendered, mask, notes)
+    mesh_bands: tuple[bool, ...] = ()
+    empty_bands: tuple[bool, ...] = ()
+    spacing = masked.spacing
+    relief = None if spacing is None else _measure_mesh_relief(rendered, mask, spacing, surface)
+    if relief is not None:
+        total = add_heights(height, resolved, relief, mask, rendered.pixel_m, BAND_WAVELENGTHS_M)
+        mesh_bands, empty_bands, resolved = total.mesh_bands, total.empty_bands, total.resolved_wavelength_m
+        height, source = total.height.astype(np.float32), describe_mesh_relief(surface.object_name, relief, source)
     rgb = (
         None
         if layers is None
@@ -422,7 +501,51 @@ def _build_closeup(masked: _MaskedPatch, surface: Surface) -> CloseUp:
         rays=masked.rays,
         renders=masked.renders,
         unlit=_build_unlit_image(rendered, albedo, mask, surface),
+        mesh_bands=mesh_bands,
+        empty_bands=empty_bands,
     )
+
+
+def find_mesh_relief(surface: Surface, patch: Patch, caster: RayCaster, max_pixels: int) -> MeshRelief | None:
+    """Return the relief of the mesh that a close-up of a patch would have, from rays alone; None if it is smooth."""
+    side = MIN_MESH_SIDE
+    while True:
+        camera, _ = make_unoccluded_camera(patch, side, caster)
+        cast = _CastPatch(patch, camera, cast_view(caster, surface.mesh, camera))
+        mask = _mask_patch_surface(cast, surface)
+        spacing = _find_fine_faces(cast, mask, surface)
+        if spacing is None:
+            return None
+        needed = min(choose_mesh_side(side, patch.size_m, spacing), max_pixels)
+        if needed <= side:
+            return _measure_mesh_relief(cast, mask, spacing, surface)
+        side = needed
+
+
+def _find_fine_faces(rendered: _CastPatch, mask: Mask, surface: Surface) -> FaceSpacing | None:
+    """Find where the faces under a patch are fine enough for relief; None if nowhere, as on most surfaces."""
+    patch = rendered.patch
+    if mask.shape[1] < GRID or mask.shape[1] % GRID:
+        return None
+    return find_fine_faces(surface.mesh, rendered.cast.triangle, mask, (patch.x_axis, patch.y_axis), patch.size_m)
+
+
+def _measure_mesh_relief(
+    rendered: _CastPatch, mask: Mask, spacing: FaceSpacing, surface: Surface, *, cut: bool = True
+) -> MeshRelief | None:
+    """Measure the relief of the mesh under a patch; None if it is smooth. Without `cut` all waves count.
+
+    If fewer pixels show the waves that the faces hold, as on most smooth surfaces, these are examined first.
+    """
+    depth, size = rendered.cast.depth, rendered.patch.size_m
+    # Blender keeps coordinates as float32.
+    rounding = float(np.abs(surface.mesh.vertices).max()) * 2.0**-24
+    stride = mask.shape[1] // choose_mesh_side(MIN_MESH_SIDE, size, spacing)
+    if stride > 1:
+        few = (slice(stride // 2, None, stride),) * 2
+        if compute_mesh_relief(depth[few], mask[few], spacing, size, rounding_m=rounding) is None:
+            return None
+    return compute_mesh_relief(depth, mask, spacing, size, rounding_m=rounding, cut_facets=cut)
 
 
 def _build_unlit_image(
@@ -437,7 +560,7 @@ def _build_unlit_image(
     )  # fmt: skip
 
 
-def _mask_patch_surface(rendered: _RenderedPatch, surface: Surface) -> Mask:
+def _mask_patch_surface(rendered: _CastPatch, surface: Surface) -> Mask:
     """Return the pixels (H, W) of the patch's material slot connected to its center without a step in depth."""
     slot = np.where(rendered.cast.triangle >= 0, surface.mesh.slot[rendered.cast.triangle], -1)
     return find_connected_pixels(slot == rendered.patch.slot, rendered.cast.depth, rendered.pixel_m)
@@ -450,36 +573,101 @@ def _compute_height(
 
     The mean is 0 under `mask`. Without relief the height is None and the wavelength inf.
     """
-    layers, displacement = rendered.slot.reading.layers, rendered.slot.reading.displacement
     nothing = (None, "", float("inf"))
     if not mask.any() or not rendered.passes:
         return nothing
-    micros = [closure.micro for closure in list_closures(layers)] + [displacement]
-    reliefs = [relief for micro in micros for relief in micro.reliefs]
-    slopes = [slope for micro in micros for slope in micro.slopes]
-    height = np.zeros(mask.shape)
-    used: list[Relief | Slopes] = []
-    if reliefs:
-        height = height + _compute_relief_height(rendered, layers, displacement)
-        used.extend(reliefs)
-    if slopes and displacement.reliefs:
-        notes.append("a normal map beside a Displacement is not counted: they mostly show the same relief.")
-    elif slopes and layers is not None:
-        height = height + _integrate_normals(rendered, layers, mask, notes)
-        used.extend(slopes)
+    height, used = _read_height(rendered, mask, notes)
     height = np.where(mask, height - height[mask].mean(), 0.0)
     span = float(np.ptp(height[mask]))
     if not np.isfinite(span):
-        notes.append("the shader's height is not a number here: it is not used.")
+        notes.append(
+            f"material '{rendered.slot.material}' on '{rendered.isolated.original.name}': its height is not a number "
+            "there and is not felt. Check the Distance, Strength or Scale of its bump, and what computes its Height."
+        )
         return nothing
     if span < MIN_RELIEF_M:
         return nothing
     resolved = compute_resolved_wavelength(used, rendered.passes, mask, rendered.pixel_m)
+    height = _restore_texels(rendered, used, height, mask)
+    resolved = max(resolved, _find_noise_cutoff(rendered, used, height, mask))
+    if not np.isfinite(resolved) and rendered.folded_m > 0.0:
+        notes.append(
+            f"material '{rendered.slot.material}': its relief there is finer than {2e3 * rendered.pixel_m:.2g} mm, "
+            "which is not felt. Check the scale of its texture, and the scene's unit scale."
+        )
+    elif not np.isfinite(resolved) and _list_images(used):
+        names = ", ".join(f"'{image.name}'" for image in _list_images(used))
+        notes.append(
+            f"material '{rendered.slot.material}': its relief shows nothing but the rounding of {names} there, which "
+            "is not felt. A picture of 16 bits would show what is finer."
+        )
     return (
         height.astype(np.float32),
         "; ".join(dict.fromkeys(_describe_source(rendered, source) for source in used)),
         resolved,
     )
+
+
+def _read_height(rendered: _RenderedPatch, mask: Mask, notes: list[str]) -> tuple[Float, list[Relief | Slopes]]:
+    """Return the height (H, W) [m] that the shader gives, and the sources it is made from."""
+    layers, displacement = rendered.slot.reading.layers, rendered.slot.reading.displacement
+    micros = [closure.micro for closure in list_closures(layers)] + [displacement]
+    reliefs = [relief for micro in micros for relief in micro.reliefs]
+    slopes = [slope for micro in micros for slope in micro.slopes]
+    height = np.zeros(mask.shape)
+    used: list[Relief | Slopes] = []
+    if reliefs and rendered.passes:
+        height = height + _compute_relief_height(rendered, layers, displacement)
+        used.extend(reliefs)
+    if slopes and displacement.reliefs:
+        notes.append("a normal map beside a Displacement is not counted: they mostly show the same relief.")
+    elif slopes and layers is not None and rendered.passes:
+        height = height + _integrate_normals(rendered, layers, mask, notes)
+        used.extend(slopes)
+    return height, used
+
+
+def _list_images(used: Sequence[Relief | Slopes]) -> list[ImageTap]:
+    """Return the images behind sources of relief, each once."""
+    return list({(image.name, image.vector): image for source in used for image in source.images}.values())
+
+
+def _restore_texels(rendered: _RenderedPatch, used: Sequence[Relief | Slopes], height: Float, mask: Mask) -> Float:
+    """Return the height (H, W) [m] without the smoothing of its interpolation, if it shows one image's texels."""
+    images = _list_images(used)
+    if not is_image_based(rendered.slot) or len(images) != 1:
+        return height
+    grid = find_texel_grid(images[0], rendered.passes, mask, rendered.pixel_m)
+    if grid is None or np.linalg.norm(grid, ord=2) * rendered.pixel_m > 1.0:
+        return height
+    restored = restore_texels(fill_masked(height, mask), rendered.pixel_m, grid)
+    return np.where(mask, restored - restored[mask].mean(), 0.0)
+
+
+def _find_noise_cutoff(rendered: _RenderedPatch, used: Sequence[Relief | Slopes], height: Float, mask: Mask) -> float:
+    """Return the wavelength [m] below which a height (H, W) [m] shows no more than rounding and folded waves."""
+    passes = rendered.passes
+    square = rendered.folded_m**2
+    slope_square = 0.0
+    for source in used:
+        for image in source.images:
+            if isinstance(source, Relief):
+                own = _get_height_scale(rendered, source) * source.tap.read(passes)
+                square += measure_image_step(image, own, passes, mask) ** 2 / 12.0
+            else:
+                # A component n = 2 c − 1 of a normal near (0, 0, 1), along both axes.
+                slope_square += 2.0 * (2.0 * image.step * source.strength) ** 2 / 12.0
+    cutoff = 0.0
+    if square > 0.0:
+        cutoff = find_noise_cutoff(measure_octave_heights(height, mask, rendered.pixel_m), np.sqrt(square))
+    if slope_square > 0.0:
+        filled = fill_masked(height, mask)
+        octaves = [
+            measure_octave_heights(np.gradient(filled, rendered.pixel_m, axis=axis), mask, rendered.pixel_m)
+            for axis in (0, 1)
+        ]
+        cutoff = max(cutoff, find_noise_cutoff(np.hypot(*octaves), np.sqrt(slope_square)))
+    return cutoff
 
 
 def _describe_source(rendered: _RenderedPatch, source: Relief | Slopes) -> str:
@@ -518,15 +706,22 @@ def _sum_reliefs(rendered: _RenderedPatch, reliefs: Sequence[Relief]) -> Float:
 
 def _integrate_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, notes: list[str]) -> Float:
     """Return the height (H, W) [m] whose slopes relative to the smooth surface are those of the normal maps."""
+    factors = _judge_normals(rendered, layers, mask, notes)
 
     def compute_slope(axis: int) -> Float | None:
-        return mix_closures(layers, rendered.passes, lambda closure: _compute_slope(rendered, closure.micro, axis))
+        return mix_closures(
+            layers, rendered.passes, lambda closure: _compute_slope(rendered, closure.micro, axis, factors)
+        )
 
     gx, gy = compute_slope(0), compute_slope(1)
     if gx is None or gy is None:
         return np.zeros(mask.shape)
     valid = mask & np.isfinite(gx) & np.isfinite(gy)
     if not valid.any():
+        notes.append(
+            f"material '{rendered.slot.material}': its normal map holds no usable normals, all point into the surface. "
+            "Check its picture and its Color Space."
+        )
         return np.zeros(mask.shape)
     if has_flipped_green(gx, gy, valid):
         notes.append(
@@ -536,7 +731,27 @@ def _integrate_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, not
     return height_from_slopes(gx, gy, valid, rendered.pixel_m)
 
 
-def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int) -> Float:
+def _judge_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, notes: list[str]) -> dict[Slopes, Float]:
+    """Return the factor (H, W) on the slopes of each normal map, and append a note on each that holds no normals."""
+    factors = {}
+    for slopes in {slopes for closure in list_closures(layers) for slopes in closure.micro.slopes if slopes.colour}:
+        assert slopes.colour is not None
+        kind, factors[slopes] = judge_normal_colour(slopes.colour.read(rendered.passes), mask)
+        name = slopes.images[0].name if slopes.images else slopes.source
+        if kind == "grey":
+            notes.append(
+                f"material '{rendered.slot.material}': its normal map '{name}' is a grey picture without normals: it "
+                "is not used. If it shows heights, connect it to the Height of a Bump node."
+            )
+        elif kind:
+            notes.append(
+                f"material '{rendered.slot.material}': its normal map '{name}' has two channels, its blue is empty: it "
+                "is rebuilt from red and green."
+            )
+    return factors
+
+
+def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int, factors: Mapping[Slopes, Float]) -> Float:
     """Return the slope ∂h/∂x (axis 0) or ∂h/∂y (axis 1) of a closure (BSDF) in the patch's frame, (H, W).
 
     It is 0 without a normal map.
@@ -551,7 +766,10 @@ def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int) ->
         normal = slopes.tap.read(rendered.passes) @ rendered.isolated.rigid[:3, :3]
         normal_part = np.sum(normal * smooth, axis=-1)
         tangent_part = np.sum(normal * tangent, axis=-1)
-        total = total - np.clip(tangent_part / np.where(normal_part > 0.05, normal_part, np.nan), -10.0, 10.0)
+        slope = np.clip(tangent_part / np.where(normal_part > 0.05, normal_part, np.nan), -10.0, 10.0)
+        factor = factors.get(slopes)
+        # A factor of 0 also drops what is no number.
+        total = total - (slope if factor is None else np.where(factor == 0.0, 0.0, slope * factor))
     return total
 
 

@@ -7,18 +7,19 @@ scenes without a camera.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.errors import SceneError
+from hnf_core.progress import add_work
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.rgbd_view import read_exr
 
 from ... import compat
-from ..scene.suppress_output import suppress_output
-from ..scene.temp_scene import TemporaryScene
+from ..scene.temp_scene import TemporaryScene, suppress_output
 from ..shader.aov_taps import Tap
 
 NO_HIT_DEPTH = 1e9
@@ -60,6 +61,7 @@ def disable_lighting(scene: Any) -> None:
 def add_aovs(view_layer: Any, taps: Iterable[Tap]) -> None:
     """Add an AOV pass to a view layer for every tap (a shader value that an AOV Output node writes)."""
     for tap in taps:
+        add_work("passes", item=tap.name)
         aov = view_layer.aovs.add()
         aov.name, aov.type = tap.name, tap.kind
 
@@ -245,3 +247,75 @@ def make_overview_camera(
     pose[:3, 3] = middle + distance * back
     intrinsics = np.array([[focal, 0.0, width / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]])
     return Camera("perspective", width, height, intrinsics, pose, distance * 1e-3, distance * 1e3)
+
+
+ZOOM_PIXELS, ZOOM = 96, 8
+"""Side [pixels] of a view of a patch's middle, and how much smaller its pixels are than the patch's: it shows waves
+that the patch's pixels would fold into longer ones."""
+MAX_OVERSAMPLING = 4
+"""Most renders' pixels per pixel of a patch and axis, for a relief finer than its pixels."""
+MAX_FOLDED_RATIO = 1.5
+"""Power of waves finer than two pixels, over that of the octave above, which may fold. A vertical step has 1, so that
+only what is rougher than any edge is worth more pixels."""
+MIN_FOLDED_M = 20e-9
+"""RMS height of waves finer than two pixels that may fold anyway [m]."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Sampling of a relief that may be finer than a patch's pixels.
+
+    Attributes
+    ----------
+    factor : int
+        Rendered pixels per pixel and axis; more than 1 are reduced by a filter.
+    folded_m : float
+        RMS height of the waves that still fold into longer ones [m].
+    """
+
+    factor: int = 1
+    folded_m: float = 0.0
+
+
+PLAIN_SAMPLING = Sampling()
+"""One rendered pixel per pixel."""
+
+
+def choose_sampling(height: Float, mask: NDArray[np.bool_], zoom_pixel_m: float) -> Sampling:
+    """Choose the sampling of a relief from a view of its middle (H, W) [m] with `ZOOM` times smaller pixels.
+
+    `zoom_pixel_m` is their size [m], `mask` (H, W) the surface. The result's factor is the smallest at which little
+    folds.
+    """
+    values = np.where(mask, height, 0.0)
+    window = np.outer(np.hanning(values.shape[0]), np.hanning(values.shape[1])) * mask
+    if not window.any():
+        return Sampling()
+    level = (values - np.average(values, weights=window)) * window
+    power = np.square(np.abs(np.fft.fft2(level))) / (level.size * np.square(window).sum())
+    frequency = np.hypot(*np.meshgrid(*map(np.fft.fftfreq, values.shape), indexing="ij"))
+    limit = 0.5 / ZOOM  # of the patch's pixels, in cycles per pixel of this view
+
+    def sum_power(lowest: float, highest: float) -> float:
+        return float(power[(frequency >= lowest) & (frequency < highest)].sum())
+
+    beside = sum_power(limit / 2.0, limit)
+    if sum_power(limit, np.inf) <= max(MAX_FOLDED_RATIO * beside, MIN_FOLDED_M**2):
+        return Sampling()
+    factor = 2
+    while factor < MAX_OVERSAMPLING and sum_power(factor * limit, np.inf) > max(0.1 * beside, MIN_FOLDED_M**2):
+        factor *= 2
+    return Sampling(factor, float(np.sqrt(sum_power(factor * limit, np.inf))))
+
+
+FILTER_REACH = 3
+"""Distance from the surface's border up to which a filter of render passes mixes in what lies beyond [pixels]."""
+
+
+def erode(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+    """Return the pixels of a mask (H, W) at least so far from its border inside the image."""
+    for axis in (0, 1):
+        padded = np.pad(mask, [(pixels, pixels) if each == axis else (0, 0) for each in (0, 1)], mode="edge")
+        size = mask.shape[axis]
+        mask = np.logical_and.reduce([np.take(padded, range(i, i + size), axis) for i in range(2 * pixels + 1)])
+    return mask

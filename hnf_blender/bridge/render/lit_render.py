@@ -19,8 +19,7 @@ from hnf_core.scene.rgbd_view import RgbdView
 
 from ... import compat
 from ..scene.meshes import get_slot_materials, hash_mesh
-from ..scene.suppress_output import suppress_output
-from ..scene.temp_scene import TemporaryScene
+from ..scene.temp_scene import TemporaryScene, suppress_output
 from ..shader.images import fingerprint_file
 from ..shader.object_inputs import find_shader_inputs, format_object_inputs
 from ..shader.shader_hash import format_settings, hash_material, hash_node_tree

@@ -69,6 +69,11 @@ def get_artist_choice(material: Any) -> str | MaterialFile:
     return material.hnf_touch.library or get_definition(material) or ""
 
 
+def is_height_authored(material: Any) -> bool:
+    """Return True if the user insists on the height of a material's relief; False for None."""
+    return material is not None and bool(material.hnf_touch.height_as_authored)
+
+
 def clear_definition(material: Any) -> None:
     """Remove the stored haptic definition from a Blender material."""
     for name in (DEFINITION_PROPERTY, DEFINITION_NAME_PROPERTY):

@@ -10,14 +10,18 @@ import hashlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.errors import SceneError
+from hnf_core.progress import add_work
 from hnf_core.scene.mesh import TriangleMesh, compute_float32_frame, has_area
 from hnf_core.scene.raycast import ClosestPoints, Hits, RayCaster, find_closest_points, make_embree_caster, refine_hits
+
+from ..shader.images import explain_missing_image
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
@@ -137,13 +141,103 @@ def read_surface(obj: Any, depsgraph: Any, metres_per_unit: float) -> Surface:
     rigid, stretch = compute_surface_frame(evaluated.matrix_world, metres_per_unit, where)
     with evaluated_mesh(evaluated, depsgraph) as mesh:
         materials = get_materials(evaluated, mesh)
-        triangles = _read_triangles(mesh, stretch, max(len(materials), 1), where)
+        _require_numbers(original, mesh, where)
+        triangles = _read_triangles(mesh, stretch, max(len(materials), 1))
         _require_size(triangles, where)
+        if not _has_any_area(triangles):
+            raise SceneError(
+                "none of its faces has any area to touch.", where=where, remedy="Touch another object, or rebuild it."
+            )
         source, notes = _find_source_faces(original, mesh, depsgraph)
     if original.data.users > 1:
         notes = (*notes, f"{where} shares its mesh with {original.data.users - 1} other user(s).")
+    notes = (*notes, *describe_idle_modifiers(original, evaluated))
     names = tuple("" if material is None else material.name for material in materials)
     return Surface(original.name, triangles, rigid, stretch, source, names, notes)
+
+
+REQUIRED_INPUTS = {
+    "ARMATURE": "object", "CURVE": "object", "DATA_TRANSFER": "object", "LATTICE": "object",
+    "MESH_DEFORM": "object", "MESH_CACHE": "filepath", "MESH_SEQUENCE_CACHE": "cache_file", "NODES": "node_group",
+    "HOOK": "object", "SHRINKWRAP": "target", "SURFACE_DEFORM": "target", "WARP": "object_from",
+}  # fmt: skip
+"""Types of modifiers → property without which they do nothing."""
+BOUND_FLAGS = {
+    "CORRECTIVE_SMOOTH": "is_bind", "LAPLACIANDEFORM": "is_bind", "MESH_DEFORM": "is_bound",
+    "SURFACE_DEFORM": "is_bound",
+}  # fmt: skip
+"""Types of modifiers that do nothing before they are bound → property that tells whether they are."""
+
+
+def describe_idle_modifiers(original: Any, evaluated: Any) -> tuple[str, ...]:
+    """Describe modifiers that fail: those without an input that they need, those not bound, and Geometry Nodes' errors.
+
+    What they would shape is not felt.
+    """
+    notes = []
+    for modifier in original.modifiers:
+        if not modifier.show_viewport:
+            continue
+        problem = _find_modifier_problem(modifier, evaluated.modifiers.get(modifier.name))
+        if problem:
+            notes.append(
+                f"object '{original.name}': its modifier '{modifier.name}' fails ({problem}), so that its shape is not "
+                "felt. Repair or remove it."
+            )
+    return tuple(notes)
+
+
+def _find_modifier_problem(modifier: Any, evaluated: Any) -> str:
+    required = REQUIRED_INPUTS.get(modifier.type, "")
+    if required and not getattr(modifier, required):
+        return f"its {required.replace('_', ' ')} is missing"
+    flag = BOUND_FLAGS.get(modifier.type, "")
+    if flag and not getattr(modifier, flag) and getattr(modifier, "rest_source", "BIND") == "BIND":
+        return "it is not bound"
+    if modifier.type in {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}:
+        path = modifier.filepath if modifier.type == "MESH_CACHE" else modifier.cache_file.filepath
+        return "" if _is_file(path, modifier.id_data.library) else f"its file {path} is not there"
+    if modifier.type == "BOOLEAN":
+        source = "object" if modifier.operand_type == "OBJECT" else "collection"
+        return "" if getattr(modifier, source) else f"its {source} is missing"
+    if modifier.type == "DISPLACE" and modifier.texture is not None and modifier.texture.type == "IMAGE":
+        image = modifier.texture.image
+        missing = "it has none" if image is None else explain_missing_image(image)
+        return f"the image of its texture is missing: {missing}" if missing else ""
+    # Blender 5.0 gives them on the original alone.
+    warnings = [*getattr(modifier, "node_warnings", ()), *getattr(evaluated, "node_warnings", ())]
+    errors = [warning.message for warning in warnings if warning.type == "ERROR"]
+    return errors[0] if errors else ""
+
+
+def _is_file(path: str, library: Any) -> bool:
+    """Return True if a path of Blender's, which may be relative to a .blend, is that of a file."""
+    import bpy
+
+    return Path(bpy.path.abspath(path, library=library)).is_file()
+
+
+def _has_any_area(mesh: TriangleMesh) -> bool:
+    """Return True if any triangle has an area; the first thousand nearly always tell."""
+    corners = mesh.corner_positions()
+    return bool(has_area(corners[:1000]).any() or has_area(corners[1000:]).any())
+
+
+def _require_numbers(original: Any, mesh: Any, where: str) -> None:
+    """Raise SceneError if a vertex of an object's evaluated mesh is not a number; names whose fault it is."""
+    if np.isfinite(_read_array(mesh.vertices, "co", np.float32, 3)).all():
+        return
+    own = original.data if original.type == "MESH" else mesh
+    bad = np.flatnonzero(~np.isfinite(_read_array(own.vertices, "co", np.float32, 3)).all(axis=1))
+    if len(bad):
+        raise SceneError(
+            f"a vertex (number {bad[0]}) is not a number.", where=where,
+            remedy=f"Delete it, or run D.meshes[{original.data.name!r}].validate() in the Python Console.",
+        )  # fmt: skip
+    names = ", ".join(f"'{modifier.name}'" for modifier in original.modifiers if modifier.show_viewport)
+    raise SceneError(
+        f"its modifiers ({names}) make a vertex that is not a number.", where=where, remedy="Repair or remove them."
+    )
 
 
 def _require_size(mesh: TriangleMesh, where: str) -> None:
@@ -191,6 +285,7 @@ def evaluated_mesh(evaluated: Any, depsgraph: Any) -> Iterator[Any]:
 
     Raises SceneError if the object has no mesh or no faces.
     """
+    add_work("meshes", item=evaluated.name)
     try:
         mesh = evaluated.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
     except RuntimeError:
@@ -202,12 +297,18 @@ def evaluated_mesh(evaluated: Any, depsgraph: Any) -> Iterator[Any]:
         )
     try:
         if len(mesh.polygons) == 0:
-            raise SceneError(
-                "its mesh has no faces to touch.", where=where, remedy="Give it faces, or choose another object."
-            )
+            what, remedy = _explain_missing_faces(evaluated.original)
+            raise SceneError(what, where=where, remedy=remedy)
         yield mesh
     finally:
         evaluated.to_mesh_clear()
+
+
+def _explain_missing_faces(original: Any) -> tuple[str, str]:
+    """Return what is wrong with an object whose evaluated mesh has no faces, and what to do."""
+    if original.type == "MESH" and len(original.data.polygons):
+        return "its modifiers leave no face to touch.", "Repair or remove them."
+    return "its mesh has no faces to touch.", "Give it faces, or choose another object."
 
 
 def hash_mesh(obj: Any, depsgraph: Any, metres_per_unit: float, layers: Iterable[str] = ()) -> str:
@@ -306,21 +407,20 @@ def make_ray_caster(mesh: TriangleMesh, fallback: BlenderGeometry | None = None)
 
     Both give equal results; Blender's is ten times slower. `fallback` is used instead of building a new BVH.
     """
+    add_work("caster_triangles", len(mesh.triangles))
     try:
         return make_embree_caster(mesh)
     except ImportError:
         return fallback or BlenderGeometry(mesh)
 
 
-def _read_triangles(mesh: Any, stretch: Float, slots: int, where: str) -> TriangleMesh:
+def _read_triangles(mesh: Any, stretch: Float, slots: int) -> TriangleMesh:
     """Read an evaluated mesh's triangles, with vertices multiplied by `stretch` (3, 3) into the surface frame [m].
 
-    `slots` is the number of material slots, `where` names the object in errors.
+    `slots` is the number of material slots.
     """
     mesh.calc_loop_triangles()
     vertices = _read_array(mesh.vertices, "co", np.float32, 3).astype(np.float64) @ stretch.T
-    if not np.isfinite(vertices).all():
-        raise SceneError("a vertex is not a number.", where=where, remedy="Run Mesh > Clean Up, or delete that vertex.")
     corners = _read_array(mesh.loop_triangles, "loops", np.int32, 3)
     triangles = _read_array(mesh.loop_triangles, "vertices", np.int32, 3)
     face = _read_array(mesh.loop_triangles, "polygon_index", np.int32)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from ctypes import c_float
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.errors import SceneError
+from hnf_core.progress import add_work
 
 Float = NDArray[np.float64]
 
@@ -53,6 +55,7 @@ def filter_rendered(objects: Iterable[Any], view_layer: Any) -> list[Any]:
 
 def _iter_rendered_collections(layer: Any) -> Iterator[Any]:
     """Yield the collections of a layer-collection tree that are enabled in renders."""
+    add_work("collections", item=layer.name)
     if layer.collection.hide_render:
         return
     if not layer.exclude:
@@ -151,7 +154,7 @@ def get_size_warning(obj: Any, metres: float) -> str | None:
         for i in range(3)
     ]
     diagonal = sum(side * side for side in sides) ** 0.5
-    if 5e-3 <= diagonal <= 5.0:
+    if 5e-3 <= diagonal <= 5.0 or not math.isfinite(diagonal):
         return None
     size = f"{diagonal:.3g} m" if diagonal > 5.0 else f"{diagonal * 1e3:.3g} mm"
     if diagonal > 5.0:

@@ -6,14 +6,20 @@ to the objects themselves.
 
 from __future__ import annotations
 
+import ctypes
 import math
+import os
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
+
+from hnf_core.progress import add_work
 
 if TYPE_CHECKING:
     import tempfile
@@ -45,6 +51,7 @@ class TemporaryScene:
     def __enter__(self) -> TemporaryScene:
         import bpy
 
+        add_work("scenes")
         self._before = set(_list_datablocks())
         self._made: set[int] = set()
         self._folder: tempfile.TemporaryDirectory[str] | None = None
@@ -219,3 +226,46 @@ def _restore_values(obj: Any, values: dict[str, Any]) -> None:
         current = getattr(owner, name)
         if (current if name in STROKE_CHANNELS else tuple(current)) != value:
             setattr(owner, name, value)
+
+
+@contextmanager
+def suppress_output() -> Iterator[None]:
+    """Discard everything that C or Python code prints in the with block.
+
+    Does nothing if the process has no standard streams (a windowed Windows program). Output of other threads is
+    discarded too.
+    """
+    sink = _open_null()
+    try:
+        saved = [os.dup(1), os.dup(2)]
+    except OSError:
+        yield
+        return
+    _flush_streams()
+    try:
+        os.dup2(sink.fileno(), 1)
+        os.dup2(sink.fileno(), 2)
+        with redirect_stdout(sink), redirect_stderr(sink):
+            yield
+    finally:
+        _flush_streams()
+        for descriptor, stream in zip(saved, (1, 2), strict=True):
+            os.dup2(descriptor, stream)
+            os.close(descriptor)
+
+
+@cache
+def _open_null() -> TextIO:
+    """Open the null device once and keep it open, as the glTF importer's log handlers keep the stream they found."""
+    return open(os.devnull, "w", encoding="utf-8")
+
+
+def _flush_streams() -> None:
+    """Flush Python's and C's buffers of standard output and error."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            with suppress(OSError, ValueError):
+                stream.flush()
+    # Text in the buffers of C's printf would otherwise appear after the block.
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).fflush(None)

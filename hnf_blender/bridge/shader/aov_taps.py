@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .images import get_image_size
+from .images import get_image_size, get_rounding_step
 from .node_graph import NodeGraph
 
 Float = NDArray[np.float64]
@@ -156,11 +156,20 @@ class ImageTap:
         Texture coordinates at which it is read.
     texels : tuple of float
         Texels per unit of each coordinate: (x, y), or (x, y, z) if the image is projected from several sides.
+    step : float
+        Step to which its values are rounded, 0 for none or if it does not matter.
+    values : Tap or None
+        AOV pass of its values, if they are rounded.
+    is_data : bool
+        False if its values are colors, decoded from sRGB.
     """
 
     name: str
     vector: Tap
     texels: tuple[float, ...]
+    step: float = 0.0
+    values: Tap | None = None
+    is_data: bool = True
 
 
 class ImageSourced(Protocol):
@@ -172,17 +181,22 @@ class ImageSourced(Protocol):
     def procedural(self) -> bool: ...
 
 
-def find_image_sources(tapper: Tapper, sockets: Iterable[Any]) -> tuple[tuple[ImageTap, ...], bool]:
+def find_image_sources(
+    tapper: Tapper, sockets: Iterable[Any], with_values: bool = False
+) -> tuple[tuple[ImageTap, ...], bool]:
     """Return the images behind input sockets, and True if procedural textures are among their sources.
 
     Nodes that only move or distort an image's coordinates do not count, as they add no detail of their own.
+    `with_values` renders the values of rounded images too, to tell their steps from relief.
     """
     stop = PROCEDURAL_NODES | {IMAGE_NODE}
     nodes = {
         (node.id_data.name_full, node.name): node for socket in sockets for node in tapper.graph.upstream(socket, stop)
     }
     images = tuple(
-        tap_image(node, tapper) for node in nodes.values() if node.bl_idname == IMAGE_NODE and node.image is not None
+        tap_image(node, tapper, with_values)
+        for node in nodes.values()
+        if node.bl_idname == IMAGE_NODE and node.image is not None
     )
     kinds = {node.bl_idname for node in nodes.values()}
     return images, bool(kinds & PROCEDURAL_NODES) or (not images and bool(kinds & COORDINATE_NODES))
@@ -205,8 +219,11 @@ def is_texel_limited(graph: NodeGraph, sockets: Iterable[Any]) -> bool:
     )
 
 
-def tap_image(node: Any, tapper: Tapper) -> ImageTap:
-    """Add an AOV output for the coordinates of an Image Texture node, from which its texel size is measured."""
+def tap_image(node: Any, tapper: Tapper, with_values: bool = False) -> ImageTap:
+    """Add an AOV output for the coordinates of an Image Texture node, from which its texel size is measured.
+
+    `with_values` adds one for its values, if they are rounded.
+    """
     tree, vector = node.id_data, node.inputs["Vector"]
     if tapper.graph.resolve(vector).is_output:
         tap = tapper.tap_output(vector.links[0].from_socket, "COLOR")
@@ -218,7 +235,10 @@ def tap_image(node: Any, tapper: Tapper) -> ImageTap:
     width, height = get_image_size(node.image)
     flat = (width * scale[0], height * scale[1])
     # Box, sphere and tube projections use all three coordinates.
-    return ImageTap(node.image.name, tap, flat if node.projection == "FLAT" else (*flat, width * scale[2]))
+    texels = flat if node.projection == "FLAT" else (*flat, width * scale[2])
+    step = get_rounding_step(node.image)
+    values = tapper.tap_output(node.outputs["Color"], "COLOR") if with_values and step > 0.0 else None
+    return ImageTap(node.image.name, tap, texels, step, values, bool(node.image.colorspace_settings.is_data))
 
 
 def compute_resolved_wavelength(sources: Iterable[ImageSourced], passes: Passes, mask: Mask, pixel_m: float) -> float:
@@ -240,16 +260,84 @@ def find_finest_texel(sources: Iterable[ImageSourced], passes: Passes, mask: Mas
 
 
 def measure_texel_size(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> float:
-    """Return the median size on the surface of a texel [m], in the direction in which it is longest; inf if unknown.
+    """Return the median size on the surface of a texel [m], in the direction in which it is shortest; inf if unknown.
 
-    `mask` (H, W) is the patch's surface, `pixel_m` the size of a pixel [m].
+    A strip of long texels shows waves across them. `mask` (H, W) is the patch's surface, `pixel_m` the size of a pixel
+    [m].
     """
-    texels = np.asarray(image.texels, dtype=np.float64)
-    coordinates = image.vector.read(passes)[..., : len(texels)] * texels
-    across = (coordinates[1:-1, 2:] - coordinates[1:-1, :-2]) / (2.0 * pixel_m)
-    along = (coordinates[2:, 1:-1] - coordinates[:-2, 1:-1]) / (2.0 * pixel_m)
-    # Smaller singular value of the Jacobian (texels per meter), by its first fundamental form.
+    across, along = _measure_texel_rates(image, passes, pixel_m)
+    # Larger singular value of the Jacobian (texels per meter), by its first fundamental form.
     e, f, g = (np.sum(a * b, axis=-1) for a, b in ((across, across), (across, along), (along, along)))
-    smallest = np.sqrt(np.maximum((e + g - np.sqrt((e - g) ** 2 + 4.0 * f**2)) / 2.0, 0.0))
-    inner = mask[1:-1, 1:-1] & (smallest > 0.0)
-    return float(np.median(1.0 / smallest[inner])) if inner.any() else float("inf")
+    largest = np.sqrt(np.maximum((e + g + np.sqrt((e - g) ** 2 + 4.0 * f**2)) / 2.0, 0.0))
+    inner = mask[SPARSE] & (largest > LEAST_TEXELS / (max(mask.shape) * pixel_m))
+    return float(np.median(1.0 / largest[inner])) if inner.any() else float("inf")
+
+
+MAX_TEXEL_SCATTER = 0.2
+"""Relative deviation from the median up to which the texels of a patch count as one grid."""
+
+
+def find_texel_grid(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> Float | None:
+    """Return the grid of an image's texels on a patch as the derivative (2, 2) of (u, v) [texels] by (x, y), y up [m].
+
+    None unless nine tenths of the patch have nearly the same grid, as they have not at a seam or on a strong bend.
+    """
+    if len(image.texels) != 2:
+        return None
+    across, along = _measure_texel_rates(image, passes, pixel_m)
+    rates = np.stack([across, -along], axis=-1)[mask[SPARSE]]
+    if len(rates) == 0:
+        return None
+    middle = np.median(rates, axis=0)
+    if abs(np.linalg.det(middle)) < 1e-12 * np.sum(middle**2) or not np.isfinite(middle).all():
+        return None
+    # In steps of texels, so that both axes of a strip count alike.
+    deviation = np.linalg.norm(rates @ np.linalg.inv(middle) - np.eye(2), axis=(1, 2))
+    return middle if np.mean(deviation < MAX_TEXEL_SCATTER) > 0.9 else None
+
+
+LEAST_TEXELS = 1e-3
+"""Texels along a patch below which its coordinates are constant but for rounding."""
+SPARSE = (slice(1, -1, 4), slice(1, -1, 4))
+"""Pixels of a patch (rows, columns) at which texels are measured: every fourth, not at the edge."""
+
+
+def _measure_texel_rates(image: ImageTap, passes: Passes, pixel_m: float) -> tuple[Float, Float]:
+    """Return the texels per meter (…, 2 or 3) along the columns and along the rows of a patch, at SPARSE pixels."""
+    texels = np.asarray(image.texels, dtype=np.float64)
+    coordinates = passes[image.vector.name][..., : len(texels)]
+    rows, columns = SPARSE
+    right, left = (coordinates[rows, 1 + shift : coordinates.shape[1] - 1 + shift : 4] for shift in (1, -1))
+    below, above = (coordinates[1 + shift : coordinates.shape[0] - 1 + shift : 4, columns] for shift in (1, -1))
+    scale = texels / (2.0 * pixel_m)
+    return (right.astype(np.float64) - left) * scale, (below.astype(np.float64) - above) * scale
+
+
+def measure_image_step(image: ImageTap, quantity: Float, passes: Passes, mask: Mask) -> float:
+    """Return how far one rounding step of an image moves a quantity (H, W) made from it; 0 if it is not rounded.
+
+    The slope of the quantity over the image's values is fitted on the patch, so that nodes between them count.
+    """
+    if image.values is None or image.step == 0.0:
+        return 0.0
+    mask = mask[SPARSE]
+    values = image.values.read(passes)[SPARSE][mask]
+    if len(values) == 0:
+        return 0.0
+    level = values - values.mean(axis=0)
+    if not np.any(level):
+        return 0.0
+    if np.ptp(level, axis=1).max() < 1e-3 * np.ptp(level):  # grey: the channels are rounded together
+        level, values = level[:, :1], values[:, :1]
+    sample = quantity[SPARSE][mask]
+    gain, *_ = np.linalg.lstsq(level.T @ level, level.T @ (sample - sample.mean()), rcond=1e-9)
+    steps = np.full(len(gain), image.step)
+    if not image.is_data:
+        steps = image.step * _srgb_slope(np.clip(np.median(values, axis=0), 0.0, 1.0))
+    return float(np.linalg.norm(gain * steps))
+
+
+def _srgb_slope(linear: Float) -> Float:
+    """Return the derivative of linear values by their sRGB codes (0 to 1)."""
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
+    return np.where(encoded <= 0.04045, 1.0 / 12.92, 2.4 / 1.055 * ((encoded + 0.055) / 1.055) ** 1.4)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hnf_core.units import m_to_mm
 
 from .aov_taps import (
@@ -20,6 +23,8 @@ from .aov_taps import (
     tap_image,
 )
 from .node_graph import NodeGraph
+
+Float = NDArray[np.float64]
 
 BUMP_FACTORS = ("Distance", "Strength")
 """Inputs of a Bump node that multiply its Height."""
@@ -82,7 +87,8 @@ class Slopes:
     """A shading normal whose height is unknown, as from a normal map.
 
     `tap` is the AOV pass with the world-space normal (COLOR), `source` a description for the report. `images`,
-    `procedural` and `texel_limited` tell, as in Relief, which textures it is made from.
+    `procedural` and `texel_limited` tell, as in Relief, which textures it is made from, `strength` multiplies the
+    slopes. `colour` is the AOV pass with the color of a Normal Map node in tangent space.
     """
 
     tap: Tap
@@ -90,6 +96,8 @@ class Slopes:
     images: tuple[ImageTap, ...]
     procedural: bool
     texel_limited: bool
+    strength: float = 1.0
+    colour: Tap | None = None
 
 
 @dataclass(frozen=True)
@@ -116,8 +124,15 @@ def read_normal_input(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     else:
         images, procedural = find_image_sources(tapper, end.node.inputs)
         texel_limited = is_texel_limited(tapper.graph, end.node.inputs)
+    colour = _rebuild_blue(end.node, tapper) if end.node.bl_idname == "ShaderNodeNormalMap" else None
     slopes = Slopes(
-        tapper.tap_output(end, "COLOR"), _format_label(end.node, "normals"), images, procedural, texel_limited
+        tapper.tap_output(end, "COLOR"),
+        _format_label(end.node, "normals"),
+        images,
+        procedural,
+        texel_limited,
+        _get_strength(end.node, tapper.graph),
+        colour,
     )
     return MicroGeometry(reliefs, (slopes,))
 
@@ -166,7 +181,7 @@ def read_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     copy_input(tree, node.inputs["Height"], subtract.inputs[0])
     copy_input(tree, node.inputs["Midlevel"], subtract.inputs[1])
     height = tapper.multiply(tree, subtract.outputs[0], node.inputs["Scale"])
-    images, procedural = find_image_sources(tapper, [node.inputs["Height"]])
+    images, procedural = find_image_sources(tapper, [node.inputs["Height"]], with_values=True)
     relief = Relief(
         tapper.tap_output(height, "VALUE"),
         node.space == "OBJECT",
@@ -187,7 +202,7 @@ def _read_bump(node: Any, tapper: Tapper) -> Relief:
     sign = -1.0 if node.invert else 1.0
     factors = (node.inputs[name] for name in BUMP_FACTORS)
     height = tapper.multiply(node.id_data, sign, node.inputs["Height"], *factors)
-    images, procedural = find_image_sources(tapper, [node.inputs["Height"]])
+    images, procedural = find_image_sources(tapper, [node.inputs["Height"]], with_values=True)
     amounts = (_read_amount(node, "Distance", is_length=True), _read_amount(node, "Strength", is_length=False))
     texel_limited = is_texel_limited(tapper.graph, get_relief_inputs(node))
     return Relief(
@@ -229,6 +244,86 @@ def _check_normal_map(node: Any, graph: NodeGraph, notes: list[str]) -> None:
 def _read_amount(node: Any, name: str, *, is_length: bool) -> Amount:
     socket = node.inputs[name]
     return Amount(name.lower(), None if socket.is_linked else float(socket.default_value), is_length)
+
+
+LEAST_BLUE, LARGEST_NORMAL_SQUARE = 0.51, 1.1
+"""Blue of a normal map below which a normal would lie in the surface, and squared length [1] above which it is none.
+
+Interpolation makes normals shorter, never longer."""
+
+
+def _rebuild_blue(node: Any, tapper: Tapper) -> Tap | None:
+    """Give the pixels of a Normal Map node whose blue cannot be right the blue of a unit normal; tap its own color.
+
+    Maps of two channels have x and y alone: z = √(1 − x² − y²). None for a map in other axes or without a picture.
+    """
+    socket, tree = node.inputs["Color"], node.id_data
+    if node.space != "TANGENT" or not tapper.graph.resolve(socket).is_output or not socket.links:
+        return None
+    source = socket.links[0].from_socket
+
+    def compute(operation: str, *values: Any) -> Any:
+        math = tree.nodes.new("ShaderNodeMath")
+        math.operation = operation
+        for value, target in zip(values, math.inputs, strict=False):
+            copy_input(tree, value, target)
+        return math.outputs[0]
+
+    parts, whole = tree.nodes.new("ShaderNodeSeparateXYZ"), tree.nodes.new("ShaderNodeCombineXYZ")
+    tree.links.new(source, parts.inputs[0])
+    red, green, blue = parts.outputs
+    x, y, z = (compute("MULTIPLY_ADD", part, 2.0, -1.0) for part in (red, green, blue))
+    plane_square = compute("MULTIPLY_ADD", x, x, compute("MULTIPLY", y, y))
+    height = compute("SQRT", compute("MAXIMUM", compute("SUBTRACT", 1.0, plane_square), 1e-3))
+    is_low = compute("LESS_THAN", blue, LEAST_BLUE)
+    is_long = compute("GREATER_THAN", compute("MULTIPLY_ADD", z, z, plane_square), LARGEST_NORMAL_SQUARE)
+    missing = compute("SUBTRACT", compute("MULTIPLY_ADD", height, 0.5, 0.5), blue)
+    rebuilt = compute("MULTIPLY_ADD", compute("MAXIMUM", is_low, is_long), missing, blue)
+    for part, target in zip((red, green, rebuilt), whole.inputs, strict=True):
+        tree.links.new(part, target)
+    tree.links.new(whole.outputs[0], socket)
+    return tapper.tap_output(source, "COLOR")
+
+
+GREY_DIFFERENCE = 2.5 / 255.0
+"""Difference of color channels up to which a picture is grey, or a channel constant."""
+LEAST_TILT_SQUARE = 1e-3
+"""Mean square of x and y of normals [1] below which a map is flat, whatever its blue."""
+
+
+def judge_normal_colour(colour: Float, mask: NDArray[np.bool_]) -> tuple[str, Float]:
+    """Tell what a normal map holds from its color (H, W, 3) on a patch, and correct its slopes.
+
+    Returns
+    -------
+    kind : str
+        "grey" for a picture without normals, "two channels" if blue is constant and z was rebuilt, else "".
+    factor : ndarray, shape (H, W)
+        Factor on the slopes that the Normal Map node gives.
+    """
+    ones, inside = np.ones(mask.shape), colour[mask]
+    spread = float(np.ptp(inside[:, :2])) if len(inside) else 0.0
+    if spread <= GREY_DIFFERENCE:
+        return "", ones
+    if np.ptp(inside, axis=1).max() <= GREY_DIFFERENCE:
+        return "grey", 0.0 * ones
+    x, y, z = np.moveaxis(2.0 * colour - 1.0, -1, 0)
+    plane_square = x**2 + y**2
+    blue = inside[:, 2]
+    if np.ptp(blue) > GREY_DIFFERENCE or np.mean(plane_square[mask]) < LEAST_TILT_SQUARE:
+        return "", ones
+    height = np.sqrt(np.maximum(1.0 - plane_square, 1e-3))
+    if abs(float(np.median(height[mask] - z[mask]))) < 0.05:
+        return "", ones  # as good as a unit normal's
+    is_rebuilt = (colour[..., 2] < LEAST_BLUE) | (plane_square + z**2 > LARGEST_NORMAL_SQUARE)
+    return "two channels", np.where(is_rebuilt, 1.0, z / height)
+
+
+def _get_strength(node: Any, graph: NodeGraph) -> float:
+    """Return the constant Strength of a Normal Map node; 1 for a textured one and for other nodes."""
+    socket = node.inputs.get("Strength") if node.bl_idname == "ShaderNodeNormalMap" else None
+    source = None if socket is None else graph.resolve(socket)
+    return 1.0 if source is None or source.is_output else float(get_constant_value(source, "VALUE"))
 
 
 def _format_label(node: Any, kind: str) -> str:

@@ -33,6 +33,7 @@ from .aov_taps import (
     is_texel_limited,
 )
 from .bump_displacement import (
+    BUMP_FACTORS,
     MicroGeometry,
     follow_normal_chain,
     get_relief_inputs,
@@ -326,7 +327,7 @@ def find_relief_source(material: Any) -> ReliefSource:
 def is_direct_image(material: Any) -> bool:
     """Return True if a material's relief is made of images directly, so that a coarse render can measure their texels.
 
-    Reads the nodes only, like `find_relief_source`; `choose_resolution` in `bridge/render/closeup.py` uses the texels.
+    Reads the nodes only, like `find_relief_source`; `bridge/render/closeup_resolution.py` uses the texels.
     """
     if material is None or not compat.use_nodes(material):
         return False
@@ -341,6 +342,30 @@ def is_direct_image(material: Any) -> bool:
         inputs.append(get_relief_inputs(graph.source_node(graph.output.inputs["Displacement"])))
     has_constant_factors = not any(graph.resolve(factor).is_output for factor in factors)
     return has_constant_factors and all(is_texel_limited(graph, sockets) for sockets in inputs)
+
+
+def get_stated_height(material: Any) -> float:
+    """Return the largest height that the numbers of a Bump or Displacement node state [Blender units]; 0 for none.
+
+    Reads the nodes only. Those count whose Height is a texture, 0 to 1, and whose factors are constant.
+    """
+    if material is None or not compat.use_nodes(material):
+        return 0.0
+    graph = NodeGraph(material, copy_groups=False)
+    if graph.output is None:
+        return 0.0
+    closures, _ = _find_surface_closures(graph)
+    chains = [follow_normal_chain(graph, node.inputs["Normal"]) for node in closures if "Normal" in node.inputs]
+    scaled: list[tuple[Any, tuple[str, ...]]] = [(bump, BUMP_FACTORS) for bumps, _ in chains for bump in bumps]
+    if is_displacing(graph, graph.output.inputs["Displacement"]):
+        scaled.append((graph.source_node(graph.output.inputs["Displacement"]), ("Scale",)))
+    heights = [0.0]
+    for node, factors in scaled:
+        texture = graph.resolve(node.inputs["Height"]).node
+        sources = [graph.resolve(node.inputs[name]) for name in factors]
+        if texture.bl_idname in PROCEDURAL_NODES | {IMAGE_NODE} and not any(source.is_output for source in sources):
+            heights.append(abs(float(np.prod([get_constant_value(source, "VALUE") for source in sources]))))
+    return max(heights)
 
 
 def has_relief(graph: NodeGraph) -> bool:

@@ -114,6 +114,56 @@ def _read_pixels(image: Any) -> bytes:
     return pixels.tobytes()
 
 
+JPEG_START, JPEG_TABLES, JPEG_SCAN = b"\xff\xd8", 0xDB, 0xDA
+"""Start of a JPEG file, marker of its quantization tables, and marker after which there are none."""
+JPEG_HEADER_BYTES = 2**18
+"""Largest part of a JPEG file in which its tables are looked for: they come after at most a few embedded profiles."""
+
+
+def get_rounding_step(image: Any) -> float:
+    """Return the step to which an image's values are rounded, 1 being white; 0 for floating-point pixels.
+
+    It is 1/255 with eight bits. A JPEG rounds the mean and the slope of each block of 8 × 8 pixels to coarser steps.
+    """
+    if image is None or image.is_float:
+        return 0.0
+    return max(1.0, parse_jpeg_step(_read_image_start(image))) / 255.0
+
+
+def _read_image_start(image: Any) -> bytes:
+    """Return the first bytes of an image's file or of its packed data; b"" if there is neither."""
+    if image.packed_files:
+        return bytes(image.packed_files[0].packed_file.data[:JPEG_HEADER_BYTES])
+    for path in list_image_files(image)[:1]:
+        try:
+            with path.open("rb") as stream:
+                return stream.read(JPEG_HEADER_BYTES)
+        except OSError:
+            return b""
+    return b""
+
+
+def parse_jpeg_step(data: bytes) -> float:
+    """Return the step [codes] to which a JPEG rounds the grey of a block of 8 × 8 pixels; 0 for anything else.
+
+    It is the step of the block's mean, an eighth of the first entry of the quantization table (ITU-T T.81), and that of
+    a ramp across the block.
+    """
+    position = 2
+    while data[:2] == JPEG_START and position + 4 <= len(data) and data[position] == 0xFF:
+        marker, length = data[position + 1], int.from_bytes(data[position + 2 : position + 4], "big")
+        if marker == JPEG_SCAN:
+            break
+        if marker == JPEG_TABLES:
+            precision = data[position + 4] >> 4 if position + 4 < len(data) else 0
+            size = 2 if precision else 1
+            start = position + 5
+            table = [int.from_bytes(data[start + size * i : start + size * (i + 1)], "big") for i in range(3)]
+            return table[0] / 8.0 + max(table[1:]) / 4.0
+        position += 2 + length
+    return 0.0
+
+
 def get_image_size(image: Any) -> tuple[int, int]:
     """Return an image's (width, height) in texels.
 

@@ -6,26 +6,32 @@ and leaves room for a hand.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.action.curves import build_arc_curve, compute_smooth_handles, make_smooth_curve
-from hnf_core.action.primitive_path import make_path_curve, make_primitive_keyframes, make_primitive_path
+from hnf_core.action.primitive_path import PlanarPath, make_path_curve, make_primitive_path
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE, DEFAULT_PRIMITIVE_DOWN, Primitive, find_primitive
+from hnf_core.action.step_plan import make_plan_keyframes
 from hnf_core.action.stroke_placement import (
+    CANDIDATE_SIZES_M,
     OPENNESS_M,
     PATH_SIZE_MARGIN,
     Placement,
     compute_placement_cost,
     find_placements,
     project_path,
+    smooth_for_placement,
     to_world,
 )
 from hnf_core.errors import SceneError
+from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.raycast import Hits, RayCaster
 
 from ..scene.meshes import Surface, flush_edits, make_ray_caster, read_surface
@@ -39,6 +45,10 @@ KNOT_SPACING_M = 2e-3
 """Distance between the curve's control points [m]: close enough to follow a surface, few enough to edit."""
 MAX_TRIED_SPOTS = 400
 """Maximum number of places that are checked for obstruction."""
+MIN_SIZE_M = CANDIDATE_SIZES_M[-1]
+"""Size of the smallest disc that a path is fitted to [m]."""
+MAX_NAME = 40
+"""Longest name of a primitive in the name of an object, which Blender cuts at 63 letters."""
 UNDERSIDE_COSINE = -0.5
 """Height component of a normal below which a face is an underside."""
 
@@ -129,7 +139,7 @@ def place_primitive(
     name: str = "",
     surfaces: SurfaceGetter | None = None,
 ) -> PlacedStroke:
-    """Create a stroke object with a primitive (predefined stroke) at the best place of a material slot.
+    """Create a stroke object with a primitive (a stroke in words) at the best place of a material slot.
 
     The curve is a child of `obj`, lies on its surface, and has keyframes of force and progress that can be edited. Left
     to right runs along the surface's tangent.
@@ -143,8 +153,8 @@ def place_primitive(
     slot : int or None
         Material slot; None is the slot with the largest area.
     primitive : Primitive or str
-        Primitive, the name of one of the eight, or "default" (100 mm/s, 1 N, left to right, or top to bottom if that
-        direction has more room).
+        Stroke in words, the name of one of the eight, or "default" (100 mm/s, 1 N, left to right, or top to bottom if
+        that direction has more room).
     metres_per_unit : float
         Length of a Blender unit [m].
     depsgraph : bpy.types.Depsgraph, optional
@@ -181,7 +191,11 @@ def place_primitive(
     caster = _CountingCaster(make_ray_caster(surface.mesh))
     neighbours = _Neighbours(scene, obj, surface, depsgraph, metres_per_unit)
     variants = (DEFAULT_PRIMITIVE, DEFAULT_PRIMITIVE_DOWN) if primitive == DEFAULT_PRIMITIVE else (primitive,)
-    spots = [(variant, _find_best_spot(surface, caster, slot, variant, seed, neighbours)) for variant in variants]
+    smooth_shape = cache(partial(smooth_for_placement, surface.mesh, slot))
+    spots = [
+        (variant, _find_best_spot(surface, caster, slot, variant, seed, neighbours, smooth_shape))
+        for variant in variants
+    ]
     fitting = [(variant, spot) for variant, spot in spots if spot is not None]
     if not fitting:
         material = surface.materials[slot] if slot < len(surface.materials) else ""
@@ -192,13 +206,17 @@ def place_primitive(
             remedy="Draw a curve on it by hand and make it a stroke.",
         )
     chosen, spot = max(fitting, key=lambda pair: (pair[1].openness_m, pair[1].size_m))
-    points, cyclic = _project_path(surface, caster, spot, chosen, seed)
-    distance = build_arc_curve(make_smooth_curve(points, cyclic=cyclic)).length
-    stroke = _create_curve_object(name or f"{primitive.name} on {obj.name}", points, cyclic, obj, surface, scene)
+    path = make_primitive_path(chosen, size_m=spot.size_m, seed=seed)
+    knots, marks = _sample_knots(path)
+    height, _, _ = project_path(surface.mesh, caster, _get_spot_frame(spot), knots, spot.size_m)
+    points = to_world(_get_spot_frame(spot), knots, height)[0]
+    stations = build_arc_curve(make_smooth_curve(points, cyclic=path.cyclic)).find_stations(marks)
+    name = name or f"{shorten_name(primitive.name)} on {obj.name}"
+    stroke = _create_curve_object(name, points, path.cyclic, obj, surface, scene)
     group = stroke.hnf_stroke
     group.is_stroke, group.law, group.surface = True, "PROGRESS", obj
     group.start, group.seed = start_frame, seed
-    progress, force, _ = make_primitive_keyframes(chosen, distance)
+    progress, force, _ = make_plan_keyframes(path.moves, stations)
     per_second = float(scene.render.fps) / float(scene.render.fps_base)
     for channel, keys in (("progress", progress), ("force", force)):
         insert_keys(stroke, channel, keys, start_frame, per_second)
@@ -224,34 +242,72 @@ def _compute_slot_areas(surface: Surface) -> Float:
     return np.asarray(np.bincount(surface.mesh.slot, weights=area), dtype=np.float64)
 
 
-def _sample_planar_path(primitive: Primitive, size_m: float, seed: int) -> tuple[Float, bool]:
-    """Return a primitive's path in the plane as points (k, 2) [m], and whether it is closed.
+def shorten_name(name: str) -> str:
+    """Shorten the name of a long stroke in words, which an object's name has no room for."""
+    return name if len(name) <= MAX_NAME else f"{name[:MAX_NAME].rpartition('-')[0].removesuffix('-then')}-etc"
 
-    The points are about KNOT_SPACING_M apart.
-    """
-    path = make_primitive_path(primitive, size_m=size_m, seed=seed)
+
+def _sample_knots(path: PlanarPath) -> tuple[Float, list[int]]:
+    """Return points (k, 2) [m] of a path about KNOT_SPACING_M apart, and the indices of those that are its marks."""
     curve = make_path_curve(path)
-    count = max(8, int(np.ceil(curve.length / KNOT_SPACING_M)))
-    s = np.linspace(0.0, curve.length, count + 1)
-    return curve.point_at(s[:-1] if path.cyclic else s), path.cyclic
+    stations, at, marks = curve.find_stations(path.marks), [np.zeros(1)], [0]
+    for start, end in itertools.pairwise(stations):
+        count = max(8 if len(stations) == 2 else 2, int(np.ceil((end - start) / KNOT_SPACING_M)))
+        at.append(np.linspace(start, end, count + 1)[1:])
+        marks.append(marks[-1] + count)
+    knots = np.concatenate(at)
+    return curve.point_at(knots[:-1] if path.cyclic else knots), marks
+
+
+def _list_sizes(primitive: Primitive, seed: int) -> tuple[float, ...]:
+    """Return the sizes to try [m], the largest first: one only if lengths that were said fix it."""
+    if not primitive.steps:
+        return CANDIDATE_SIZES_M
+    extent, smaller = (make_primitive_path(primitive, size_m=size, seed=seed).extent_m for size in (None, MIN_SIZE_M))
+    if smaller >= 0.99 * extent:
+        return (extent,)
+    return (extent, *(size for size in CANDIDATE_SIZES_M if smaller <= size < extent))
 
 
 def _find_best_spot(
-    surface: Surface, caster: RayCaster, slot: int, primitive: Primitive, seed: int, neighbours: _Neighbours
-) -> Placement | None:
-    """Return the first place for a primitive whose entire path stays on the material slot unobstructed, or None.
+    surface: Surface, caster: RayCaster, slot: int, primitive: Primitive, seed: int, neighbours: _Neighbours,
+    smooth_shape: Callable[[], TriangleMesh | None],
+) -> Placement | None:  # fmt: skip
+    """Return the best place for a primitive whose entire path stays on the material slot unobstructed, or None.
+
+    Where it does not fit at its full size, relief of the mesh may be in the way, and the smooth shape is tried.
+    """
+    best = _find_spot_on_mesh(surface, surface.mesh, caster, slot, primitive, seed, neighbours)
+    if best is not None and best.size_m >= _list_sizes(primitive, seed)[0]:
+        return best
+    smooth = smooth_shape()
+    if smooth is None:
+        return best
+    other = _find_spot_on_mesh(surface, smooth, caster, slot, primitive, seed, neighbours)
+    return other if best is None or (other is not None and other.size_m > best.size_m) else best
+
+
+def _find_spot_on_mesh(
+    surface: Surface, mesh: TriangleMesh, caster: RayCaster, slot: int, primitive: Primitive, seed: int,
+    neighbours: _Neighbours,
+) -> Placement | None:  # fmt: skip
+    """Return the first free place by the normals of `mesh`, the surface's own or those of its smooth shape.
 
     If none of MAX_TRIED_SPOTS is free, the least obstructed one is returned (see `_grade_obstruction`).
     """
     best: tuple[int, Placement] | None = None
-    for tried, spot in enumerate(
-        find_placements(surface.mesh, caster, slot, lambda size: _sample_planar_path(primitive, size, seed)[0])
-    ):
+
+    @cache
+    def make_knots(size: float) -> Float:
+        return _sample_knots(make_primitive_path(primitive, size_m=size, seed=seed))[0]
+
+    sizes = _list_sizes(primitive, seed)
+    for tried, spot in enumerate(find_placements(mesh, caster, slot, make_knots, sizes)):
         if tried >= MAX_TRIED_SPOTS and best is not None:
             break
         frame = _get_spot_frame(spot)
-        path, _ = _sample_planar_path(primitive, spot.size_m, seed)
-        cost, height = compute_placement_cost(surface.mesh, caster, slot, frame, PATH_SIZE_MARGIN * path, spot.size_m)
+        path = make_knots(spot.size_m)
+        cost, height = compute_placement_cost(mesh, caster, slot, frame, PATH_SIZE_MARGIN * path, spot.size_m)
         if not np.isfinite(cost[0]):
             continue
         grade = _grade_obstruction(spot, to_world(frame, PATH_SIZE_MARGIN * path, height)[0], surface, neighbours)
@@ -277,15 +333,6 @@ def _grade_obstruction(spot: Placement, points: Float, surface: Surface, neighbo
 
 def _get_spot_frame(spot: Placement) -> tuple[Float, Float, Float]:
     return spot.centre[None], spot.x_axis[None], spot.normal[None]
-
-
-def _project_path(
-    surface: Surface, caster: RayCaster, spot: Placement, primitive: Primitive, seed: int
-) -> tuple[Float, bool]:
-    """Project a primitive's path at a place onto the surface; return its points (k, 3) and whether it is closed."""
-    path, cyclic = _sample_planar_path(primitive, spot.size_m, seed)
-    height, _, _ = project_path(surface.mesh, caster, _get_spot_frame(spot), path, spot.size_m)
-    return to_world(_get_spot_frame(spot), path, height)[0], cyclic
 
 
 class _Neighbours:

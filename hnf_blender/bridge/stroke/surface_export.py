@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.contacts import Contacts, find_contacts
+from hnf_core.action.patches import action_from_contacts, plan_patches
 from hnf_core.errors import UsageError
 from hnf_core.export.touched_surface import UNTOUCHED, StrokePath, TouchedSurface
 
@@ -66,7 +67,9 @@ def read_touched_surface(
     contacts = find_contacts(
         scene_stroke.samples, scene_stroke.get_surface(surface.mesh), where=f"stroke '{scene_stroke.name}'"
     )
-    return replace(touched, path=make_stroke_path(contacts))
+    patches, index = plan_patches(contacts)
+    action = action_from_contacts(contacts, patches, index, scene_stroke.probe)
+    return replace(touched, path=make_stroke_path(contacts), action=action)
 
 
 def make_stroke_path(contacts: Contacts) -> StrokePath:

@@ -1,4 +1,4 @@
-"""Noise carriers under a live hand, computed ahead in small parts so that no 5 ms step waits for a noise block.
+"""Carriers under a live hand: noise, computed ahead in parts so that no 5 ms step waits for a block, and tones.
 
 `LiveTimeCarriers` renders the time carriers (noise bands in time) at the model's rate (upsampling stored half rates
 would need future amplitudes), and spreads a block's bands over the steps until it is needed. `LiveArcCarriers` stores
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ...kernel.compiled_carriers import ArcHop, ArcReader
 from ...kernel.loader import load_kernel, single_blas_thread_without_kernel
+from ...material.contact_model import Mechanics
 from ..carrier_rendering import build_hop_tables, compute_cell_weights
 from ..carriers import (
     ARC_PER_OCTAVE,
@@ -32,6 +33,7 @@ from ..carriers import (
     make_wave_plan,
     render_real_waves,
 )
+from ..contact.lattice_lines import HARMONICS, Lines
 from ..linear_contact import BAND_END_HZ
 from ..noise_cache import (
     ARC_BLOCK_CELLS,
@@ -44,6 +46,7 @@ from ..noise_cache import (
     join_arc_blocks,
 )
 from ..stroke import SAMPLES_PER_STATE, STATE_FRACTIONS
+from ..tones import PitchScatter, compute_tone_offsets, make_renderer, make_scatter, render_line
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -348,3 +351,86 @@ class LiveArcCarriers:
         return np.asarray(
             (interpolated.real * np.cos(angle) - interpolated.imag * np.sin(angle)).sum(axis=0), dtype=np.float64
         )
+
+
+class LiveTones:
+    """Phases of the lines of M materials under a moving hand, and the tones of the last two states.
+
+    Parameters
+    ----------
+    lines
+        Lines of the materials.
+    mechanics
+        (M,) of the materials.
+    seed
+        Seed of the scatter of pitch.
+    """
+
+    def __init__(self, lines: Lines, mechanics: Sequence[Mechanics], seed: int) -> None:
+        self.count = lines.count
+        self._scatter = make_scatter(lines, mechanics)
+        self._displacement = PitchScatter(seed) if self._scatter.any() else None
+        self._offsets, self._scatter_pair = compute_tone_offsets(lines), np.zeros((2, 2, self.count))
+        self._lines = [
+            list(zip(*row, strict=True)) for row in zip(lines.wavenumber.tolist(), lines.angle.tolist(), strict=True)
+        ]
+        self._turns, self._before, self._between = ([0.0] * self.count for _ in range(3))
+        self._wavenumber = np.zeros(self.count)
+        self._pair = np.zeros((2, self.count, len(HARMONICS)))
+        self._turns_pair, self._between_row = np.zeros((2, self.count)), np.zeros((1, self.count))
+        # The kernel reads these arrays wherever they are then.
+        amplitude = self._pair.reshape(2, -1)
+        self._renderer = make_renderer(
+            lines, self._turns_pair, self._between_row, self._scatter_pair, np.array([0, SAMPLES_PER_STATE]), amplitude
+        )  # fmt: skip
+        self._has_moved = False
+
+    def move(self, material: int, direction: tuple[float, float], travel: float) -> None:
+        """Follow the hand along the path by `travel` [m] to the next state, on a material in a direction."""
+        angle = math.atan2(direction[1], direction[0])
+        wavenumber = [kappa * abs(math.cos(axis - angle)) for kappa, axis in self._lines[material]]
+        if self._has_moved:
+            self._between = [0.5 * (old + new) for old, new in zip(self._wavenumber.tolist(), wavenumber, strict=True)]
+            self._before = self._turns
+            self._turns = [turns + kappa * travel for turns, kappa in zip(self._turns, self._between, strict=True)]
+        self._wavenumber[:], self._scatter_pair[:], self._has_moved = wavenumber, self._scatter[material], True
+
+    def take(self, amplitude: Float, speed: float) -> None:
+        """Take the amplitudes (L · harmonics,) of this state; speed: the fastest motion nearby [m/s].
+
+        Lines that the material touched does not have, and what would alias, are silent.
+        """
+        wavenumber = self._wavenumber[:, None] * _HARMONICS
+        self._pair[0] = self._pair[1]
+        self._pair[1] = amplitude.reshape(self.count, -1) * ((wavenumber > 0.0) & (wavenumber * speed < BAND_END_HZ))
+
+    def silence(self) -> None:
+        """Forget the tones of the last state, since nothing is touched."""
+        self._pair[:] = 0.0
+
+    def add(self, samples: Float, position: Float, start: float) -> None:
+        """Add the tones between the last two states to samples (SAMPLES_PER_STATE,).
+
+        position: (SAMPLES_PER_STATE,) of the hand along the path, start: that of the state before them [m].
+        """
+        if not self._pair.any():
+            return
+        kernel, way = load_kernel(), position - start
+        if kernel is not None:
+            table = None if self._displacement is None else self._displacement.tabulate(position)
+            self._turns_pair[0], self._between_row[0] = self._before, self._between
+            samples += self._renderer.render(kernel, way, position, 0, table)
+            return
+        displacement = None if self._displacement is None else self._displacement.evaluate(position)
+        for line in range(self.count):
+            first, second = self._pair[:, line]
+            if first.any() or second.any():
+                strength = first + STATE_FRACTIONS[:SAMPLES_PER_STATE, None] * (second - first)
+                turns = self._before[line] + self._between[line] * way
+                if displacement is not None:
+                    turns += self._scatter_pair[0, :, line] @ displacement
+                columns = slice(line * len(HARMONICS), (line + 1) * len(HARMONICS))
+                samples += render_line(turns, strength, self._offsets[columns])
+
+
+_HARMONICS = np.array(HARMONICS, dtype=np.float64)

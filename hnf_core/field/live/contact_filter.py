@@ -1,9 +1,11 @@
 """Pressing force through the linear contact as a causal filter, state by state.
 
-The impulse responses are those of field/contact_filter.py, except for their part before t = 0: the taper towards 5 kHz
+The impulse responses are those of contact/contact_filter.py, except for their part before t = 0: the taper to 5 kHz
 is made minimum-phase (A. V. Oppenheim & R. W. Schafer, Discrete-Time Signal Processing, ch. 13: the folded cepstrum),
 so that they start at t = 0. Force has nothing at these frequencies, and the remaining difference is a delay of a
 quarter of a sample.
+
+Fast changes of force go through the whole contact, in the same spans and by the same integrator as offline.
 """
 
 from __future__ import annotations
@@ -16,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...material.contact_model import Mechanics, force_response
-from ...material.probe import PROBES, Probe
+from ...material.probe import Probe, get_probe
 from ..carriers import MODEL_RATE_HZ
-from ..contact_filter import (
+from ..contact.contact_filter import (
     CACHED_RESPONSES,
     LEAD_SAMPLES,
     LOADS_PER_OCTAVE,
@@ -26,6 +28,15 @@ from ..contact_filter import (
     RESPONSE_PERIOD,
     STATE_CURVE,
     TAIL_SAMPLES,
+)
+from ..contact.taps import (
+    FADE_IN,
+    RELEASE_STATES,
+    SETTLE_STATES,
+    TapIntegrator,
+    describe_linear_taps,
+    interpolate_force,
+    is_fast_change,
 )
 from ..stroke import SAMPLES_PER_STATE, STATE_FRACTIONS
 
@@ -48,23 +59,28 @@ class LiveContactFilter:
 
     One state of delay is that of every state, the other is due to the spline of the force (stroke.evaluate_bspline),
     which needs the state beyond. Spline and response are linear, so that a step is a product of HISTORY_STATES forces
-    and a table.
+    and a table. Where the force changes fast, the whole contact is integrated in place of it (`taps.TapResponse`).
     """
 
     def __init__(self, mechanics: Sequence[Mechanics], probe: str) -> None:
-        self._mechanics, self._probe = tuple(mechanics), PROBES[probe]
+        self._mechanics, self._probe = tuple(mechanics), get_probe(probe)
         levels = range(MIN_FORCE_OCTAVE * LOADS_PER_OCTAVE, MAX_FORCE_OCTAVE * LOADS_PER_OCTAVE + 1)
         self._tables: dict[Load, Float] = {}
         for material in range(len(self._mechanics)):
             for level in levels:
                 self._response_table((material, level))
         self._states = np.zeros(HISTORY_STATES)
+        self._whole_contact = TapIntegrator(self._mechanics, self._probe)
+        problem = describe_linear_taps(self._mechanics, self._probe)
+        self.warnings = (problem,) if problem else ()
         self.reset()
 
     def reset(self) -> None:
         """Forget the past, as if nothing had ever pressed."""
         self._states[:] = 0.0
         self._blends: tuple[Blend, Blend] = (), ()
+        self._touched = [0, 0, 0]  # materials of the last states, the newest first
+        self._states_in_air, self._tap_states = 0, 0
 
     def step(self, force: float, material: int) -> Float:
         """Return the acceleration (SAMPLES_PER_STATE,) [m/s²] after another state of force [N], 0 in the air.
@@ -74,6 +90,35 @@ class LiveContactFilter:
         states = self._states
         states[1:] = states[:-1].copy()
         states[0] = force
+        self._touched = [material, *self._touched[:2]]
+        self._states_in_air = 0 if force > 0.0 else self._states_in_air + 1
+        return self._replace_in_taps(self._compute_linear(force, material))
+
+    def _replace_in_taps(self, linear: Float) -> Float:
+        """Return the response of the whole contact within a tap's span, else the linear one; fade between them."""
+        states, begins = self._states, self._tap_states == 0
+        if is_fast_change(float(states[1]), float(states[0])):
+            # The samples are two states late, so that the span lasts from before the change.
+            self._tap_states = SETTLE_STATES + 2
+        elif self._states_in_air >= RELEASE_STATES:
+            self._tap_states = min(self._tap_states, 2)
+        if self._tap_states == 0 or not self._whole_contact.is_stable:
+            return linear
+        force = interpolate_force(states[3::-1], self._whole_contact.steps)
+        material = self._touched[2] if states[2] > 0.0 else self._touched[1]
+        if begins:
+            self._whole_contact.start(float(force[0]), material)
+        whole, fade = self._whole_contact.integrate(force, material), np.ones(SAMPLES_PER_STATE)
+        if begins:
+            fade = FADE_IN
+        elif self._tap_states == 1:
+            fade = 1.0 - STATE_FRACTIONS
+        self._tap_states -= 1
+        return np.asarray((1.0 - fade) * linear + fade * whole)
+
+    def _compute_linear(self, force: float, material: int) -> Float:
+        """Return the linear response (SAMPLES_PER_STATE,) [m/s²] to the states in memory."""
+        states = self._states
         previous, current = self._blends
         self._blends = current, self._blend_responses(force, material)
         if not current or states.min() == states.max():

@@ -2,7 +2,7 @@
 
 Everything that depends on token, mechanics and probe alone is computed once per material, and all angles of the
 surface's spectrum are evaluated at once. The same formulas, for many states at once, are in field.evaluate,
-surface_spectrum.py and linear_contact.py; results differ by float32 rounding.
+linear_contact.py; results differ by float32 rounding.
 """
 
 from __future__ import annotations
@@ -10,19 +10,39 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from ctypes import CDLL
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import UsageError
-from ...kernel.compiled_field import StateEvaluator
+from ...kernel.compiled_field import StateEvaluator, ToneArrays
 from ...kernel.loader import load_kernel
-from ...material.contact_model import Mechanics, power_gain, surface_stiffness_at_1n, with_defaults
-from ...material.probe import PROBES, Probe
+from ...material.contact_model import (
+    Mechanics,
+    power_gain,
+    surface_stiffness_at_1n,
+    with_defaults,
+)
+from ...material.probe import Probe, get_probe
 from ...material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
+from ...progress import add_work
 from ..carriers import ARC_PER_OCTAVE, Carriers
+from ..contact.lattice_lines import (
+    HARMONIC_SHIFTS,
+    HARMONIC_START_LOG,
+    HARMONICS,
+    LINE_COUNT,
+    LINE_FLOOR_M_S2,
+    LINE_GAIN_COUNT,
+    Lines,
+    PathLines,
+    compute_line_shares,
+    gather_sidebands,
+    split_bands,
+    take_tones,
+)
 from ..features import (
     AMPLITUDE_FLOOR_M_S2,
     DIRECTION_COLUMN,
@@ -35,27 +55,21 @@ from ..features import (
     normalise_tokens,
 )
 from ..field import LOG_AMPLITUDE_CEILING, Field, encode_fixed_inputs, get_emitter, kernel_supports
+from ..force_noise import compute_thread_tones, find_thread_lines, get_force_noise
 from ..linear_contact import (
+    ANGLES,
     FLANK_FRICTION,
     FORCE_FLOOR_N,
-    HARMONIC_SHIFTS,
-    HARMONIC_START_LOG,
-    HARMONICS,
-    LINE_COUNT,
-    LINE_FLOOR_M_S2,
-    LINE_GAIN_COUNT,
-    SPEED_FLOOR_M_S,
-    arc_gain,
-    lateral_hand_impedance,
-    time_edges_in_arc_bands,
-)
-from ..surface_spectrum import (
-    ANGLES,
     GRID_ANGLES,
     LINE_CONCENTRATION,
     ORIENTED_DENSITY_MEAN,
+    SPEED_FLOOR_M_S,
+    arc_gain,
     compute_surface_spectrum,
+    fade_frequency,
+    lateral_hand_impedance,
     noise_remainder,
+    time_edges_in_arc_bands,
 )
 
 Float = NDArray[np.float64]
@@ -85,8 +99,7 @@ class LiveSurfaceSpectrum:
 
     def __init__(self, token: Float, carriers: Carriers) -> None:
         bands, count = len(BAND_WAVELENGTHS_M), carriers.arc_count
-        values = np.asarray(token, dtype=np.float64)[: bands * len(BAND_FEATURES)].reshape(bands, len(BAND_FEATURES))
-        feature = dict(zip(BAND_FEATURES, values.T, strict=True))
+        feature = {name: values[0] for name, values in split_bands(np.asarray(token)[None]).items()}
         self._moments = np.stack([feature["cos2"] + 1j * feature["sin2"], feature["cos4"] + 1j * feature["sin4"]])
         self._peak, self._power = feature["peak"].copy(), 10.0 ** (2.0 * feature["level"])
         reference = compute_surface_spectrum(np.asarray(token)[None], np.array([[1.0, 0.0]]), carriers)
@@ -110,10 +123,7 @@ class LiveSurfaceSpectrum:
         axis = 0.25 * np.arctan2(four.imag, four.real)
         along = 0.5 * (1.0 + (two * np.exp(-2j * axis)).real)
         along = np.minimum(np.maximum(along, 0.0), 1.0)
-        tone_weights = np.stack([along, 1.0 - along])
-        tones = self._peak * tone_weights / tone_weights.max(axis=0)
-        tones /= np.maximum(tones.sum(axis=0), 1.0)
-        tones = np.minimum(np.maximum(tones, 0.0), 1.0)
+        tones = compute_line_shares(self._peak, along, np.abs(four))
         density = self._density(two, four, axis, along)
         np.multiply(
             weight, self._spread_over_wavenumbers(self._power * noise_remainder(tones)), out=self._weighted[:, :-1]
@@ -214,7 +224,7 @@ class LiveLinearContact:
         np.exp(reach_square * (-1.0 / 20.0), out=spot_power)
         np.multiply(spot_power, wave, out=slope_power)
         angular_square, fade = wave * speed**2, np.square(gain)
-        hand, hand_damping = lateral_hand_impedance(self._probe.name)
+        hand, hand_damping = lateral_hand_impedance(self._probe)
         lateral = np.square(angular_square) / (np.square(hand - angular_square) + hand_damping * angular_square)
         normal_gain, lateral_gain = (
             power_gain(angular_square, stiffness, damping, mass) * fade,
@@ -277,6 +287,8 @@ class LiveEmission:
         Its stiffness, damping and friction.
     probe
         Name of the probe.
+    lines
+        Lines of this one material whose tones are to be apart from the carriers; None leaves them there.
 
     Raises
     ------
@@ -284,25 +296,62 @@ class LiveEmission:
         If the field has a linear contact but no arc carriers; no such field is made.
     """
 
-    def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
+    def __init__(
+        self, field: Field, token: Float, mechanics: Mechanics, probe: str, lines: Lines | None = None
+    ) -> None:
         config = field.config
         if config.physics and not config.carriers.arc_count:
             raise UsageError("this field has no arc-length carriers to be felt live with.", remedy="Use another field.")
-        self._of = field, np.array(token, dtype=np.float64)[None], mechanics, probe
+        self._of = field, np.array(token, dtype=np.float64)[None], mechanics, probe, lines
+        self._lines, self._has_modes = lines, bool(get_probe(probe).body_modes)
+        self._force_noise, self._is_thread = None, np.zeros((1, 0), dtype=bool)
+        if config.force_noise:
+            if lines is not None:
+                straight = lines.project(np.zeros(1, np.int32), np.array([[1.0, 0.0]]))
+                self._is_thread = find_thread_lines(straight, mechanics, get_probe(probe))
+            rest = replace(mechanics, thread_spacing_m=0.0) if self._is_thread.any() else mechanics
+            self._force_noise = get_force_noise(rest, probe, config.carriers)
         self.evaluate((1.0, 0.0), 0.0, 0.0, contact=False)  # Builds the evaluator now, so that no touch waits for it.
 
     def evaluate(self, direction: Direction, speed: float, force: float, contact: bool) -> tuple[Float, Float]:
-        """Return the amplitudes α (K,), 0 at rest and in the air, and σΔt (N,); the next call may overwrite both.
+        """Return the amplitudes α (K + tones,), 0 at rest and in the air, and σΔt (N,); overwritten by the next call.
 
         direction: unit vector. speed: [m/s]. force: [N].
         """
+        add_work("states")
         angle = math.atan2(direction[1], direction[0])
         floored_speed, floored_force = max(speed, SPEED_FLOOR_M_S), max(force, FORCE_FLOOR_N)
         moving = min(speed / SPEED_FLOOR_M_S, 1.0) * min(max(force, 0.0) / FORCE_FLOOR_N, 1.0) if contact else 0.0
         kernel = load_kernel()
         if kernel is not None and kernel_supports(self._of[0].config):
-            return self._compiled.evaluate(kernel, direction, angle, floored_speed, floored_force, moving)
-        return self._numpy.evaluate(direction, angle, floored_speed, floored_force, moving)
+            part: CompiledEmission | NumpyEmission = self._compiled
+            alpha, sigma = self._compiled.evaluate(kernel, direction, angle, floored_speed, floored_force, moving)
+        else:
+            part = self._numpy
+            alpha, sigma = self._numpy.evaluate(direction, angle, floored_speed, floored_force, moving)
+        if self._force_noise is not None and moving > 0.0:
+            alpha = self._force_noise.add_to_state(alpha, floored_speed, floored_force, moving)
+        if part.tones is None:
+            return alpha, sigma
+        tones = part.tones
+        if self._is_thread.any() and moving > 0.0:
+            tones = self._add_threads(tones, part.along, floored_speed, floored_force, moving)
+        if self._force_noise is not None and self._has_modes and moving > 0.0:
+            frequency = (floored_speed * part.along[:, None] * _HARMONICS).ravel()
+            tones = tones * self._force_noise.compute_body_gain(frequency)
+        return np.concatenate([alpha, tones]), sigma
+
+    def _add_threads(self, tones: Float, along: Float, speed: float, force: float, moving: float) -> Float:
+        """Return the tones (L · harmonics,) with those of threads under a fingertip.
+
+        along: (L,) wavenumbers along the path [cycles/m]. speed [m/s] and force [N] are not below their floors.
+        """
+        lines, (_, _, mechanics, probe, _) = self._lines, self._of
+        assert lines is not None
+        here = PathLines(lines.column[None], lines.wavenumber, along[None])
+        state = np.array([speed]), np.array([force])
+        power = compute_thread_tones(here, self._is_thread, *state, mechanics, get_probe(probe))[0]
+        return np.asarray(np.sqrt(np.square(tones) + power * moving**2))
 
     @cached_property
     def _compiled(self) -> CompiledEmission:
@@ -318,8 +367,13 @@ class LiveEmission:
 class NumpyEmission:
     """Evaluator of F_Θ on one material in numpy, state by state. token: (1, TOKEN_DIM)."""
 
-    def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
+    def __init__(
+        self, field: Field, token: Float, mechanics: Mechanics, probe: str, lines: Lines | None = None
+    ) -> None:
         config, carriers = field.config, field.config.carriers
+        self._lines, self._scatter = lines, np.array([mechanics.pitch_scatter_m or 0.0])
+        self.tones: Float | None = None
+        self.along = np.zeros(0)
         self._config, self._carriers, self._kappa = config, carriers, carriers.arc_centres()
         # Products use einsum, because BLAS would start threads for so small a product, and wait for them.
         self._layers = [_transpose_layer(field, f"layer{index}") for index in range(config.layers)]
@@ -334,9 +388,9 @@ class NumpyEmission:
         self._x[MECHANICS_COLUMN:DIRECTION_COLUMN] = encode_fixed_inputs(mechanics, probe)
         self._linear: LiveLinearContact | None = None
         if config.physics:
-            self._linear = LiveLinearContact(token[0], mechanics, PROBES[probe], carriers)
+            self._linear = LiveLinearContact(token[0], mechanics, get_probe(probe), carriers)
             self._time, self._skip = TimeBandPower(carriers), field.parameters["skip"].astype(np.float64)
-        self._mass = PROBES[probe].mass_kg
+        self._mass = get_probe(probe).mass_kg
 
     def evaluate(
         self, direction: Direction, angle: float, pace: float, load: float, moving: float
@@ -346,7 +400,10 @@ class NumpyEmission:
         angle: of `direction` [rad]. pace, load: speed [m/s] and force [N], not below their floors. moving: factor on α,
         0 at rest to 1.
         """
-        carriers = self._carriers
+        carriers, lines = self._carriers, None
+        if self._lines is not None:
+            lines = self._lines.project(np.zeros(1, np.int32), np.array([[math.cos(angle), math.sin(angle)]]))
+            self.along, self.tones = lines.wavenumber[0], np.zeros(self._lines.tone_count)
         linear = None if self._linear is None else self._linear.evaluate(angle, pace, load)
         time_power = None if linear is None else self._time.to_time_bands(linear.power, pace)
         hidden = self._fill_inputs(direction, angle, pace, load, linear, time_power)
@@ -356,12 +413,16 @@ class NumpyEmission:
         if moving == 0.0:
             return np.zeros(carriers.count), sigma
         alpha = self._decode(
-            (_multiply(self._alpha[0], hidden) + self._alpha[1]).astype(np.float64), linear, time_power
+            (_multiply(self._alpha[0], hidden) + self._alpha[1]).astype(np.float64), linear, time_power, lines
         )
         alpha *= moving
         if carriers.arc_count:
             gain = arc_gain(self._kappa, np.array([pace]))[0] if linear is None else linear.gain
             alpha[carriers.arc_slice] *= gain
+        if lines is not None and self.tones is not None:
+            tones = self.tones[None] * (moving * fade_frequency(pace * lines.compute_tone_wavenumbers()))
+            gather_sidebands(alpha[None, carriers.arc_slice], tones, lines, self._scatter, carriers)
+            self.tones = tones[0]
         return alpha, sigma
 
     def _fill_inputs(
@@ -398,7 +459,9 @@ class NumpyEmission:
             )
         return x
 
-    def _decode(self, head: Float, linear: LinearState | None, time_power: Float | None) -> Float:
+    def _decode(
+        self, head: Float, linear: LinearState | None, time_power: Float | None, lines: PathLines | None
+    ) -> Float:
         """Return the amplitudes (K,) from the α head's outputs, before the factor for rest and contact."""
         config, carriers = self._config, self._carriers
         gains = head[-LINE_GAIN_COUNT:] if config.line_gains else None
@@ -414,20 +477,40 @@ class NumpyEmission:
         if config.emission == "log":
             alpha = np.exp(np.minimum(alpha, LOG_AMPLITUDE_CEILING))
         if gains is not None and linear is not None:
-            arc = alpha[carriers.arc_slice]
-            alpha[carriers.arc_slice] = np.sqrt(np.square(arc) + _compute_line_power(gains, linear, len(arc)))
+            arc, level = alpha[carriers.arc_slice], linear.lines + LINE_FLOOR_M_S2**2
+            if lines is not None:
+                self.tones = take_tones(
+                    gains[None], level[None], linear.low[None], lines, len(arc), LOG_AMPLITUDE_CEILING
+                )[0]
+            alpha[carriers.arc_slice] = np.sqrt(
+                np.square(arc) + _compute_line_power(gains, level, linear.low, len(arc))
+            )
         return np.asarray(alpha)
 
 
 class CompiledEmission:
     """Evaluator of F_Θ on one material by the kernel, state by state. token: (1, TOKEN_DIM)."""
 
-    def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
+    def __init__(
+        self, field: Field, token: Float, mechanics: Mechanics, probe: str, lines: Lines | None = None
+    ) -> None:
         skip = np.asarray(field.parameters["skip"], dtype=np.float32)
         emitter = get_emitter(field.config, skip.tobytes(), probe, LOG_AMPLITUDE_CEILING)
         self._state = StateEvaluator(emitter, field.layers, token, np.array([encode_fixed_inputs(mechanics, probe)]))
-        self._linear = LiveLinearContact(token[0], mechanics, PROBES[probe], field.config.carriers)
-        self._mass = PROBES[probe].mass_kg
+        self._linear = LiveLinearContact(token[0], mechanics, get_probe(probe), field.config.carriers)
+        self._mass = get_probe(probe).mass_kg
+        self._arrays, self._lines, self.along = None, lines, np.zeros(0)
+        if lines is not None:
+            scatter = np.array([mechanics.pitch_scatter_m or 0.0])
+            self._arrays = ToneArrays(
+                emitter, lines.column[None].astype(np.int64), lines.wavenumber, np.zeros_like(lines.wavenumber), scatter
+            )  # fmt: skip
+            self.along = self._arrays.along[0]
+
+    @property
+    def tones(self) -> Float | None:
+        """RMS of the tones of the last state (L · harmonics,), None without lines; the next call overwrites them."""
+        return None if self._arrays is None else self._arrays.tones[0]
 
     def evaluate(
         self, kernel: CDLL, direction: Direction, angle: float, pace: float, load: float, moving: float
@@ -437,8 +520,12 @@ class CompiledEmission:
         Arguments as of NumpyEmission.evaluate.
         """
         touch, resonance = self._linear.contact_columns(angle, pace, load)
+        if self._lines is not None and self._arrays is not None:
+            off = self._lines.angle[0] - angle
+            np.multiply(self._lines.wavenumber[0], np.abs(np.cos(off)), out=self.along)
+            self._arrays.column[0] = self._lines.find_columns(off)
         motion = (*direction, pace, load, self._mass, resonance, moving)
-        alpha, sigma = self._state.evaluate(kernel, motion, touch)
+        alpha, sigma = self._state.evaluate(kernel, motion, touch, self._arrays)
         return alpha, np.logaddexp(0.0, sigma, dtype=np.float64)
 
 
@@ -452,11 +539,19 @@ def _multiply(weight: Single, hidden: Single) -> Single:
     return np.asarray(np.einsum("ji,j->i", weight, hidden))
 
 
-def _compute_line_power(gains: Float, linear: LinearState, count: int) -> Float:
-    """Compute the power of tones per arc carrier for one state, (count,), as linear_contact.compute_line_power."""
-    level = 0.5 * np.log(linear.lines + LINE_FLOOR_M_S2**2)
-    gain = gains.reshape(len(HARMONICS), 1, LINE_COUNT) + _START
-    power = np.exp(2.0 * np.minimum(gain + level, LOG_AMPLITUDE_CEILING))
+_MOST_POWER = math.exp(2.0 * LOG_AMPLITUDE_CEILING)
+
+
+def _compute_line_power(gains: Float, level: Float, low: NDArray[np.intp], count: int) -> Float:
+    """Compute the power of tones per arc carrier for one state, (count,), as linear_contact.compute_line_power.
+
+    level: (2, LINE_COUNT) power of the lines in the two carriers about each. low: (LINE_COUNT,) the lower one.
+    """
+    louder = np.exp(2.0 * (gains.reshape(len(HARMONICS), 1, LINE_COUNT) + _START))
+    power = np.minimum(louder * level, _MOST_POWER)
     # Indices outside are clipped into one extra bin at either end.
-    index = np.minimum(np.maximum(linear.low + _LINE_OFFSETS, -1), count) + 1
+    index = np.minimum(np.maximum(low + _LINE_OFFSETS, -1), count) + 1
     return np.asarray(np.bincount(index.ravel(), power.ravel(), count + 2)[1:-1], dtype=np.float64)
+
+
+_HARMONICS = np.array(HARMONICS, dtype=np.float64)

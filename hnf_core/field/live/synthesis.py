@@ -29,15 +29,16 @@ from ...errors import UsageError
 from ...material.contact_model import Mechanics, describe_limit_violation
 from ...material.hnf_file import HNF_SUFFIX, MaterialFile, read_hnf, with_library_defaults
 from ...material.library import LibraryMaterial, get_material
-from ...material.probe import PROBES
+from ...material.probe import get_probe
 from ...material.token import LARGEST_VALUE, TOKEN_DIM
 from ..carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ
+from ..contact.lattice_lines import find_lines
 from ..field import Field
 from ..linear_contact import BAND_END_HZ
 from ..prepare import AFTER_CONTACT_S
 from ..stroke import SAMPLES_PER_STATE, STATE_FRACTIONS
 from ..weights import load_field, load_material_field, read_trained_material
-from .carriers import LiveArcCarriers, LiveTimeCarriers
+from .carriers import LiveArcCarriers, LiveTimeCarriers, LiveTones
 from .contact_filter import LiveContactFilter
 from .emission import LiveEmission
 from .hand_tracker import LiveState
@@ -101,20 +102,27 @@ class LiveSynthesis:
                 where="live touch",
                 remedy="Choose another material, or describe this one again.",
             )
-        if probe not in PROBES:
-            raise UsageError(f"there is no probe '{probe}'.", remedy=f"Known: {', '.join(PROBES)}.")
+        get_probe(probe)
         carriers = field.config.carriers
         if field.config.accumulation != "past" or carriers.constant or not carriers.time_count:
             raise UsageError("a field of the published form cannot be felt live.", remedy="Use the shared field.")
         self._config, self._carriers = field.config, field.config.carriers
-        self._emission = [LiveEmission(field, *each, probe) for each in zip(tokens, mechanics, strict=True)]
+        lines = find_lines(tokens.astype(np.float32)) if field.config.line_gains else None
+        if lines is not None and not lines.count:
+            lines = None
+        self._emission = [
+            LiveEmission(field, *each, probe, None if lines is None else lines.select(index))
+            for index, each in enumerate(zip(tokens, mechanics, strict=True))
+        ]
         self._noise, self._arcs = LiveTimeCarriers(self._carriers, seed), LiveArcCarriers(self._carriers, seed)
         self._pressing = LiveContactFilter(mechanics, probe)
+        self._tones = None if lines is None else LiveTones(lines, mechanics, seed)
+        columns = self._carriers.count + (0 if lines is None else lines.tone_count)
         self._kappa = self._carriers.arc_centres()
         self._lowest = self._kappa[::ARC_PER_OCTAVE].tolist()
         states, stride = field.config.states, field.config.stride
         # Emissions and densities of past states, the newest first.
-        self._emitted = np.zeros((stride * (states - 1) + 1, self._carriers.count))
+        self._emitted = np.zeros((stride * (states - 1) + 1, columns))
         self._density = np.zeros((len(self._emitted), states))
         self._remembers = False
         self._pair = np.zeros((2, self._carriers.count), dtype=np.float32)
@@ -126,6 +134,11 @@ class LiveSynthesis:
     def materials(self) -> int:
         """Number of materials."""
         return len(self._emission)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings in words: taps on a contact that is too stiff to be integrated."""
+        return self._pressing.warnings
 
     @property
     def cached_blocks(self) -> int:
@@ -161,6 +174,8 @@ class LiveSynthesis:
         while len(self._places) < 4:
             self._places.append(state.position)
         self._places.append(state.position)
+        if self._tones is not None:
+            self._tones.move(state.material, state.direction, self._places[-1] - self._places[-2])
         out = self._render_contact(state) if state.contact or self._audible > 0.0 else self._render_silence()
         self._sample += SAMPLES_PER_STATE
         self._prepared = False
@@ -182,21 +197,27 @@ class LiveSynthesis:
         travel = max(abs(new - old) for old, new in pairwise(self._places))
         amplitude = self._accumulate(state)
         amplitude[self._carriers.arc_slice] *= self._kappa * (travel * ACTION_RATE_HZ) < BAND_END_HZ
+        if self._tones is not None:
+            self._tones.take(amplitude[self._carriers.count :], travel * ACTION_RATE_HZ)
         self._pair[0] = self._pair[1]
-        self._pair[1] = amplitude
+        self._pair[1] = amplitude[: self._carriers.count]
         fade = self._fade(state.contact)
         pressing = self._pressing.step(state.force if state.contact else 0.0, state.material)
         out = self._render_carriers(travel) + pressing
+        if self._tones is not None:
+            self._tones.add(out, self._interpolate_position(), self._places[-2])
         return out if fade is None else fade * out
 
     def _render_silence(self) -> Float:
         """Forget the past and return silence: the hand has been in the air for longer than the fade."""
         self._remembers = False
         self._emitted[:] = self._pair[1] = 0.0
+        if self._tones is not None:
+            self._tones.silence()
         return np.zeros(SAMPLES_PER_STATE)
 
     def _accumulate(self, state: LiveState) -> Float:
-        """Compute the amplitudes (K,), Σ_n w_n α over the past states, as field.accumulate does for a whole stroke."""
+        """Compute the amplitudes (K + tones,), Σ_n w_n α over the past states, as field.accumulate does."""
         emitted, density, stride = self._emitted, self._density, self._config.stride
         alpha, sigma = self._emission[state.material].evaluate(state.direction, state.speed, state.force, state.contact)
         if not self._remembers:

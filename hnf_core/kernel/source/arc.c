@@ -4,25 +4,10 @@
 #include <string.h>
 
 #include "arc.h"
+#include "sine.h"
 #include "sums.h"
 
 #define TILE 64
-
-/* sin 2 pi x for |x| <= 1/4, by its series: what is left out is 6e-8. */
-static inline float sine_of_turn(float x)
-{
-    float z = x * x;
-    return x * (6.28318531f + z * (-41.3417022f + z * (81.6052493f + z * (-76.7058598f + z * (42.0586939f
-           + z * -15.0946426f)))));
-}
-
-/* sin 2 pi x for any x of moderate size. */
-static inline float sine(float x)
-{
-    float part = x - rintf(x);
-    float half = part > 0.0f ? 0.5f : -0.5f;
-    return sine_of_turn(fabsf(part) > 0.25f ? half - part : part);
-}
 
 /* Bands summed on cells `begin` ... `begin + width - 1`, with the amplitudes at the knot before and at the one after. */
 static void summed(const float *before, const float *after, int64_t bands, const hnf_complex *const *hops,

@@ -39,7 +39,7 @@ static int64_t padded(const hnf_tables *t)
     return t->bands + farthest + WIDE;
 }
 
-/* scratch: 6 * bands + 21 * (token_bands + 3) + (3 + angles) * (bands + the farthest shift + 4). */
+/* scratch: 6 * bands + 22 * (token_bands + 3) + (3 + angles) * (bands + the farthest shift + 4). */
 contact_work contact_work_in(const hnf_tables *t, double *scratch)
 {
     int64_t count = t->token_bands, row = padded(t);
@@ -53,7 +53,7 @@ contact_work contact_work_in(const hnf_tables *t, double *scratch)
     work.passed = taken(&scratch, t->bands);
     work.leaned = taken(&scratch, t->bands);
     work.of = taken(&scratch, 3 * row);
-    work.room = scratch; /* 3 * bands, or 9 * (token_bands + 3) */
+    work.room = scratch; /* 3 * bands, or 10 * (token_bands + 3) */
     for (int64_t angle = 0; angle < t->angles; angle++)
         memset(work.seen.density + angle * row + t->bands, 0, (size_t)(row - t->bands) * sizeof(double));
     for (int64_t part = 0; part < 3; part++)
@@ -64,10 +64,11 @@ contact_work contact_work_in(const hnf_tables *t, double *scratch)
 /* The axes of a lattice, by the moments of its directions. cosine, sine: of twice the angle from the stroke to the one
  * that is at most 45 degrees off. along: how much of all stands along it, 0 ... 1. */
 static void axes(const double *two_re, const double *two_im, const double *four_re, const double *four_im,
-                 int64_t count, double *cosine, double *sine, double *along)
+                 int64_t count, double *cosine, double *sine, double *along, double *fourfold)
 {
     for (int64_t band = 0; band < count; band++) {
         double size = sqrt(four_re[band] * four_re[band] + four_im[band] * four_im[band]);
+        fourfold[band] = size;
         double c = size > 0.0 ? four_re[band] / size : 1.0, s = size > 0.0 ? four_im[band] / size : 0.0;
         /* Half the angle, by whichever of the two formulas loses no digits. */
         double larger = sqrt(0.5 * (1.0 + fabs(c))), smaller = 0.5 * fabs(s) / larger;
@@ -77,12 +78,16 @@ static void axes(const double *two_re, const double *two_im, const double *four_
     }
 }
 
-/* Shares of a band's power that its tones along the axis and across it have. */
-static inline void tones(double peak, double along, double *tone, double *other)
+/* Shares of a band's power that its lines along the axis and across it have: the twin of compute_line_shares. */
+static inline void tones(const hnf_tables *t, int64_t band, double peak, double along, double fourfold, double *tone,
+                         double *other)
 {
-    double stronger = along > 0.5 ? along : 1.0 - along;
-    double one = peak * along / stronger, two = peak * (1.0 - along) / stronger, most = one + two;
-    most = most > 1.0 ? most : 1.0;
+    double stronger = along > 0.5 ? along : 1.0 - along, twofold = 2.0 * along - 1.0;
+    double one = peak * along / stronger, two = peak * (1.0 - along) / stronger;
+    double least = t->least_across * (fourfold + fabs(twofold));
+    one = one > t->line_share[band] && fourfold + twofold > least ? one : 0.0;
+    two = two > t->line_share[band] && fourfold - twofold > least ? two : 0.0;
+    double most = one + two > 1.0 ? one + two : 1.0;
     *tone = clipped(one / most, 0.0, 1.0);
     *other = clipped(two / most, 0.0, 1.0);
 }
@@ -92,7 +97,7 @@ static void decode_token(const hnf_tables *t, const double *token, double *room,
 {
     int64_t count = t->token_bands;
     double *cosine = taken(&room, count), *sine = taken(&room, count), *along = taken(&room, count);
-    double *level = taken(&room, count);
+    double *level = taken(&room, count), *fourfold = taken(&room, count);
     for (int64_t band = 0; band < count; band++) {
         const double *f = token + band * t->features;
         out->power[band] = exp_of(TWICE_LOG_OF_10 * f[t->level]);
@@ -101,13 +106,14 @@ static void decode_token(const hnf_tables *t, const double *token, double *room,
         out->two_im[band] = f[t->sin2];
         out->four_re[band] = f[t->cos4];
         out->four_im[band] = f[t->sin4];
-        out->octaves[band] = clipped(f[t->offset], -0.5, 0.5) - log2_of(t->wavelength[band] * t->kappa[0]);
+        double scale = clipped(f[t->peak] / t->clear_peak, t->least_offset_scale, 1.0);
+        out->octaves[band] = clipped(f[t->offset] / scale, -0.5, 0.5) - log2_of(t->wavelength[band] * t->kappa[0]);
         out->place[band] = clipped(rint(t->per_octave * out->octaves[band]), 0.0, (double)(t->bands - 1));
     }
-    axes(out->two_re, out->two_im, out->four_re, out->four_im, count, cosine, sine, along);
+    axes(out->two_re, out->two_im, out->four_re, out->four_im, count, cosine, sine, along, fourfold);
     for (int64_t band = 0; band < count; band++) {
         double tone, other;
-        tones(out->peak[band], along[band], &tone, &other);
+        tones(t, band, out->peak[band], along[band], fourfold[band], &tone, &other);
         double left = clipped(1.0 - (tone + other), 0.0, 1.0);
         double noise = left < t->least_left ? 0.0 : out->power[band] * left;
         level[band] = log_of((noise > 1e-30 ? noise : 1e-30) / t->per_octave);
@@ -149,7 +155,8 @@ static void rotate_token(const hnf_tables *t, const known_token *token, double a
     double *two_re = taken(&room, wide), *two_im = taken(&room, wide), *four_re = taken(&room, wide);
     double *four_im = taken(&room, wide), *cosine = taken(&room, wide), *sine = taken(&room, wide);
     double *along = taken(&room, wide), *oriented = taken(&room, wide), *here = taken(&room, wide);
-    memset(two_re, 0, (size_t)(9 * wide) * sizeof(double));
+    double *fourfold = taken(&room, wide);
+    memset(two_re, 0, (size_t)(10 * wide) * sizeof(double));
     for (int64_t band = 0; band < count; band++) {
         two_re[band] = token->two_re[band] * cos_two + token->two_im[band] * sin_two;
         two_im[band] = token->two_im[band] * cos_two - token->two_re[band] * sin_two;
@@ -157,11 +164,11 @@ static void rotate_token(const hnf_tables *t, const known_token *token, double a
         four_im[band] = token->four_im[band] * cos_four - token->four_re[band] * sin_four;
         oriented[band] = clipped(four_re[band] * four_re[band] + four_im[band] * four_im[band], 0.0, 1.0);
     }
-    axes(two_re, two_im, four_re, four_im, count, cosine, sine, along);
+    axes(two_re, two_im, four_re, four_im, count, cosine, sine, along, fourfold);
     for (int64_t band = 0; band < count; band++) {
         double *line = out->lines + band, *octaves = out->octaves + band;
         double tone, other, met = sqrt(0.5 * (1.0 + cosine[band])), across = 0.5 * fabs(sine[band]) / met;
-        tones(token->peak[band], along[band], &tone, &other);
+        tones(t, band, token->peak[band], along[band], fourfold[band], &tone, &other);
         line[0] = token->power[band] * tone;
         line[count] = token->power[band] * other;
         octaves[0] = token->octaves[band] + log2_of(met);

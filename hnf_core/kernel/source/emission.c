@@ -158,3 +158,89 @@ void hnf_emitted(const hnf_tables *t, const hnf_emitter *e, const float *head, c
         }
     }
 }
+
+/* Twin of take_tones (hnf_core/field/contact/lattice_lines.py), with the fades of field.py's _take_tones. */
+void hnf_take_tones(const hnf_tables *t, const hnf_emitter *e, const float *head, const hnf_motion *motion,
+                    const hnf_expected *expected, int64_t states, const hnf_path_lines *lines)
+{
+    int64_t all = 2 * t->token_bands;
+    double most = exp_of(2.0 * e->ceiling);
+    for (int64_t state = 0; state < states; state++, head += e->outputs) {
+        const float *gain = head + e->outputs - e->harmonics * all;
+        double *level = expected->line + state * 2 * all;
+        for (int64_t line = 0; line < lines->count; line++) {
+            int64_t at = state * lines->count + line, column = lines->column[at];
+            double *tone = lines->tones + at * e->harmonics, *below = level + column, *above = below + all;
+            memset(tone, 0, (size_t)e->harmonics * sizeof(double));
+            if (lines->pitch[at] <= 0.0)
+                continue;
+            for (int64_t order = 0; order < e->harmonics; order++) {
+                double louder = exp_of(2.0 * (gain[order * all + column] + e->harmonic_start[order])), power = 0.0;
+                int64_t low = expected->low[state * all + column] + e->harmonic_shift[order];
+                if (low >= 0 && low < t->bands)
+                    power += least(louder * *below, most);
+                if (low >= -1 && low < t->bands - 1)
+                    power += least(louder * *above, most);
+                double hertz = (double)(order + 1) * lines->along[at] * motion[state].speed;
+                tone[order] = sqrt(power) * arc_gain(hertz) * motion[state].moving;
+            }
+            *below = *above = 0.0;
+        }
+    }
+}
+
+/* Variance of a line's phase at which hardly a line is left [rad^2], and the largest share of a carrier that is lines';
+ * LARGEST_SPREAD and MOST_TAKEN of lattice_lines.py, as what follows is the twin of its gather_sidebands. */
+#define LARGEST_SPREAD 1.0
+#define MOST_TAKEN 0.9
+#define TAU 6.283185307179586
+
+/* The carriers within an octave of a line: place of the line, first and last carrier. */
+typedef struct { double place; int64_t first, last; } near_line;
+
+static near_line near_of(const hnf_tables *t, double along)
+{
+    double place = t->per_octave * log2((along > 1e-9 ? along : 1e-9) / t->kappa[0]);
+    near_line near = {place, (int64_t)ceil(clipped(place - t->per_octave, 0.0, (double)t->bands)),
+                      (int64_t)floor(clipped(place + t->per_octave, -1.0, (double)(t->bands - 1)))};
+    return near;
+}
+
+void hnf_gather_sidebands(const hnf_tables *t, const hnf_emitter *e, int64_t states, const hnf_path_lines *lines,
+                          double *scratch, double *alpha)
+{
+    double *taken = scratch;
+    for (int64_t state = 0; state < states; state++) {
+        double *arc = alpha + state * e->carriers + e->time_bands;
+        if (lines->scatter[state] <= 0.0)
+            continue;
+        memset(taken, 0, (size_t)t->bands * sizeof(double));
+        /* Twice over the lines: what each asks of the carriers, then what all together leave it. */
+        for (int pass = 0; pass < 2; pass++) {
+            for (int64_t line = 0; line < lines->count; line++) {
+                int64_t at = state * lines->count + line;
+                double *tone = lines->tones + at * e->harmonics, phase = TAU * lines->pitch[at] * lines->scatter[state];
+                double spread = phase * phase < LARGEST_SPREAD ? phase * phase : LARGEST_SPREAD;
+                double wanted = tone[0] * tone[0] * expm1(spread), available = 0.0, given = 0.0;
+                near_line near = near_of(t, lines->along[at]);
+                if (wanted <= 0.0)
+                    continue;
+                for (int64_t k = near.first; k <= near.last; k++) {
+                    double power = (1.0 - fabs((double)k - near.place) / t->per_octave) * arc[k] * arc[k];
+                    available += power;
+                    given += pass ? power * (taken[k] > MOST_TAKEN ? MOST_TAKEN / taken[k] : 1.0) : 0.0;
+                }
+                if (available <= 0.0)
+                    continue;
+                double share = wanted / available;
+                if (pass)
+                    tone[0] = sqrt(tone[0] * tone[0] + share * given);
+                else
+                    for (int64_t k = near.first; k <= near.last; k++)
+                        taken[k] += share * (1.0 - fabs((double)k - near.place) / t->per_octave);
+            }
+        }
+        for (int64_t k = 0; k < t->bands; k++)
+            arc[k] *= sqrt(1.0 - (taken[k] < MOST_TAKEN ? taken[k] : MOST_TAKEN));
+    }
+}

@@ -15,7 +15,7 @@
 #endif
 
 /* Raised whenever a signature or a meaning changes; library.py asks. */
-#define HNF_ABI 7
+#define HNF_ABI 11
 
 typedef struct { float re, im; } hnf_complex;
 
@@ -89,9 +89,11 @@ typedef struct {
     const double *share;        /* and how far it is on the way to the next */
     const int64_t *nearest_end; /* (token_bands,) arc bands to which each is the nearest end before this one */
     const double *wavelength;   /* (token_bands,) m */
+    const double *line_share;   /* (token_bands,) of a band's power from which on its strongest wave is a line */
     const double *turn;         /* (angles, 4) cos 2a, sin 2a, cos 4a, sin 4a */
     const int64_t *shift;       /* (angles,) bands by which a cut moves a wave that stands there */
-    double per_octave, concentration, bump_mean, least_left, hand, hand_damping;
+    double per_octave, concentration, bump_mean, least_left, hand, hand_damping, least_across, clear_peak,
+        least_offset_scale;
 } hnf_tables;
 
 typedef struct {
@@ -136,9 +138,43 @@ HNF_EXPORT void hnf_emitted(const hnf_tables *tables, const hnf_emitter *emitter
                             const hnf_motion *motion, const hnf_expected *expected, int64_t states, double *scratch,
                             double *alpha);
 
+/* Lines whose tones are apart from the carriers. column: (states, count) places among the 2 * token_bands lines; pitch,
+ * along: (states, count) wavenumbers across the crests (0: no such line) and along the path [1/m]; scatter:
+ * (states,) displacement [m]; tones: (states, count * harmonics) RMS. */
+typedef struct {
+    const int64_t *column;
+    const double *pitch, *along, *scatter;
+    double *tones;
+    int64_t count;
+} hnf_path_lines;
+
+/* Between hnf_inputs and hnf_emitted: the tones, and no power left of their lines in what is expected. */
+HNF_EXPORT void hnf_take_tones(const hnf_tables *tables, const hnf_emitter *emitter, const float *head,
+                               const hnf_motion *motion, const hnf_expected *expected, int64_t states,
+                               const hnf_path_lines *lines);
+/* After hnf_emitted: the tones get what scatter spreads about them, from alpha (states, carriers). scratch: bands. */
+HNF_EXPORT void hnf_gather_sidebands(const hnf_tables *tables, const hnf_emitter *emitter, int64_t states,
+                                     const hnf_path_lines *lines, double *scratch, double *alpha);
+
 /* layers.c */
 HNF_EXPORT void hnf_layers(const float *const *panels, const float *const *biases, const int64_t *widths,
                            int64_t layers, const float *x, int64_t states, float *scratch, float *head, float *sigma);
+
+/* motion.c */
+
+/* A probe and the surface that it is dragged over: compliance [m/N^(2/3)], inverse_spring [m/N], damping 2 zeta sqrt(m),
+ * inverse_mass [1/kg], drag [1/s]; the hand's spring [1/s^2] and damper [1/s] along the path; LuGre's friction, static
+ * over kinetic less 1, Stribeck speed [m/s], bristles' stiffness [1/m] and damping [s/m]; dt [s]. */
+typedef struct {
+    double compliance, inverse_spring, damping, inverse_mass, drag, hand_spring, hand_damper, friction, stiction,
+        stribeck, bristle_stiffness, bristle_damping, dt;
+} hnf_moving_contact;
+
+/* normal_out, along_out (steps,): acceleration along the normal and along the path. drives: rows of steps + 2, stride
+ * apart: height, slope, velocity, load, rise of friction with slope; the first and the last are the neighbors'. state:
+ * height, its velocity, place and velocity along the path relative to the hand, bristles; it is continued. */
+HNF_EXPORT void hnf_contact_motion(const hnf_moving_contact *contact, const double *drives, int64_t stride,
+                                   int64_t steps, double *state, double *normal_out, double *along_out);
 
 /* place.c */
 HNF_EXPORT void hnf_place(const double *position, int64_t states, int64_t samples_per_state, int64_t start,
@@ -148,6 +184,40 @@ HNF_EXPORT void hnf_place(const double *position, int64_t states, int64_t sample
 HNF_EXPORT void hnf_press(const double *force, int64_t states, const double *weight, int64_t contacts,
                           const double *const *given, const int64_t *rows, int64_t ahead, int64_t samples,
                           int64_t first, int64_t count, double *out);
+
+/* tap.c */
+
+/* A mass on a Hertzian contact, depth = compliance N^(2/3), in series with a spring: m/N^(2/3), m/N, 2 zeta sqrt(m),
+ * 1/kg, 1/s, s. */
+typedef struct { double compliance, inverse_spring, damping, inverse_mass, drag, dt; } hnf_normal_contact;
+
+/* out (steps / every): every so many steps, the acceleration under a force (steps,). modes: (mode_count, 5) biquads b0,
+ * b1, b2, a1, a2 that are added to it. state: height and velocity, and two numbers of each mode; it is continued. */
+HNF_EXPORT void hnf_tap(const hnf_normal_contact *contact, const double *modes, int64_t mode_count,
+                        const double *force, int64_t steps, int64_t every, double *state, double *out);
+
+/* tones.c */
+
+/* Lines along a path. turns: (states, lines) phases, between: (states - 1, lines) wavenumbers [1/m], scatter: (states, 2,
+ * lines) turns by a displacement of 1. knots: (knot_count,) ascending samples, amplitude: (knot_count, lines * harmonics)
+ * there. factors: (harmonics,). offsets: (lines * harmonics,) turns at the begin. */
+typedef struct {
+    const double *turns, *between, *scatter, *amplitude, *factors, *offsets;
+    const int64_t *knots;
+    int64_t states, lines, harmonics, knot_count, per_state;
+} hnf_tones_course;
+
+/* Displacement along both axes (2, points) at even places along the path, linear in between; none of 0 points. */
+typedef struct {
+    const double *grid;
+    int64_t points;
+    double start, per_m;
+} hnf_displacement;
+
+/* out (count,) += the tones at samples start ...; way: (count,) [m] along the path from the state before each, position:
+ * (count,) along the whole path. */
+HNF_EXPORT void hnf_tones(const hnf_tones_course *course, const hnf_displacement *displacement, const double *way,
+                          const double *position, int64_t start, int64_t count, double *out);
 
 /* rows.c */
 HNF_EXPORT void hnf_between_rows(const float *values, int64_t width, const int64_t *row, const double *share,

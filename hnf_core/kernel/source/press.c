@@ -1,5 +1,5 @@
 /* What a hand that presses harder or less hard makes felt: the twin of FilterBank.force_term in
- * hnf_core/field/contact_filter.py. */
+ * hnf_core/field/contact/contact_filter.py. */
 #include "hnf_kernel.h"
 
 #include <string.h>

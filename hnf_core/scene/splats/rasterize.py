@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ...progress import add_work
 from ..camera import Camera
 from .gaussians import Splats, compute_view_directions, evaluate_sh_colours
 from .project import (
@@ -456,6 +457,7 @@ def _choose_tile_side(prints: Footprints) -> int:
 def _compute_colours(splats: Splats, camera: Camera, visible: Int, chunk: slice) -> NDArray[np.float32]:
     """Return the display-referred colors (3, n) of one chunk of the visible splats, as seen from the camera."""
     index = visible[chunk]
+    add_work("splats", len(index))
     colours = evaluate_sh_colours(splats.harmonics[index], compute_view_directions(splats.means[index], camera))
     return np.ascontiguousarray(colours.T, dtype=np.float32)
 

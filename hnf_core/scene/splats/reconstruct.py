@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SceneError, UsageError
-from ...progress import Progress, ProgressCallback, ignore_progress
+from ...progress import Progress, ProgressCallback, add_work, ignore_progress
 from ..camera import Camera
 from .depth_views import DepthView, make_depth_view, make_surrounding_cameras, sample_points
 from .gaussians import Splats
@@ -521,6 +521,7 @@ def reconstruct_surface(
     def report(stage: str, share: float) -> None:
         progress(Progress(stage, 0, 1, share))
 
+    add_work("reconstructions", len(splats))
     report("cleaning", 0.0)
     pruned = prune_splats(splats, where=where)
     local, centre, spacing = _scale_to_cells(pruned.splats, cells)

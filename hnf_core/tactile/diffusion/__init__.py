@@ -1,5 +1,5 @@
 """The network D_φ: prediction of tactile maps (touch-sensor images and heights) from images, by a small U-Net.
 
-Start with `predict.py`, which turns views into tactile maps; `conditioning.py` normalises its input, `unet.py` is the
-network, `schedule.py` the noise schedule.
+Start with `predict.py`, which turns views into tactile maps and has the noise schedule; `conditioning.py` normalises
+its input, `unet.py` is the network.
 """

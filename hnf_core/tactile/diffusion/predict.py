@@ -1,22 +1,23 @@
-"""Prediction of tactile maps from images of a patch by the network D_φ, in one pass or by DDIM sampling."""
+"""Prediction of tactile maps from images of a patch by the network D_φ, in one pass or by DDIM, with its schedule."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import UsageError
+from ...progress import add_work
 from ...threads import available_cpus
 from ..height import integrate_gradients
 from ..optics import get_sensor, limit_slope, shade
 from ..tactile_map import Route, TactileMap
 from ..views import VIEW_PIXELS, AppearanceView
 from .conditioning import NormalisedAppearance, build_condition, get_pitch_index, normalise_view
-from .schedule import ddim_step, log_snr, sampling_steps
 from .unet import REGRESSION, forward
 from .weights import MapWeights
 
@@ -129,7 +130,9 @@ def predict_tactile_maps(
     if not views:
         return ()
     # Views run in threads, since numpy releases the interpreter lock in its loops and products.
-    with ThreadPoolExecutor(min(len(views), available_cpus())) as pool:
+    threads = min(len(views), available_cpus())
+    add_work("threads", threads)
+    with ThreadPoolExecutor(threads) as pool:
         predictions = list(
             pool.map(
                 lambda view, view_seed: predict_slopes(weights, view, sensor, view_seed, steps, guidance), views, seeds
@@ -203,3 +206,59 @@ def _validate_view(view: AppearanceView) -> None:
         raise UsageError(f"a view must be {square}, not {view.rgb.shape} with depth {view.depth_m.shape}.")
     if not (np.isfinite(view.rgb).all() and np.isfinite(view.depth_m).all()):
         raise UsageError("a view must be finite throughout.", remedy="Cut views with tactile.views.cut_views.")
+
+
+Float = NDArray[np.float64]
+
+TRAIN_STEPS = 1000
+"""Number of noise steps of the schedule in training."""
+OFFSET = 0.008
+"""Offset s of the cosine schedule, as a fraction of its length (Nichol & Dhariwal 2021)."""
+LARGEST_BETA = 0.999
+"""Upper limit of β, the noise variance added in one step."""
+
+
+@lru_cache(maxsize=1)
+def alpha_bars() -> Float:
+    """Return ᾱ (TRAIN_STEPS,), the fraction of the clean signal's power left after each step of adding noise."""
+    progress = np.arange(TRAIN_STEPS + 1) / TRAIN_STEPS
+    level = np.cos((progress + OFFSET) / (1.0 + OFFSET) * np.pi / 2.0) ** 2
+    betas = np.minimum(1.0 - level[1:] / level[:-1], LARGEST_BETA)
+    bars: Float = np.cumprod(1.0 - betas)
+    bars.flags.writeable = False
+    return bars
+
+
+def log_snr(alpha_bar: Any) -> Float:
+    """Return the log signal-to-noise ratio ln(ᾱ / (1 − ᾱ))."""
+    bar = np.asarray(alpha_bar, dtype=np.float64)
+    return np.asarray(np.log(bar) - np.log1p(-bar))
+
+
+def sampling_steps(steps: int) -> tuple[tuple[float, float], ...]:
+    """Return (ᾱ before, ᾱ after) of every DDIM step, from pure noise to pure signal (ᾱ = 1 after the last).
+
+    Raises UsageError unless 1 ≤ steps ≤ TRAIN_STEPS.
+    """
+    if not 1 <= steps <= TRAIN_STEPS:
+        raise UsageError(f"{steps} sampling steps.", remedy=f"Choose 1 to {TRAIN_STEPS}.")
+    times = np.round(np.arange(TRAIN_STEPS, 0, -TRAIN_STEPS / steps)).astype(int)[:steps] - 1
+    before = alpha_bars()[times]
+    return tuple((float(a), float(b)) for a, b in zip(before, (*before[1:], 1.0), strict=True))
+
+
+def noised(x: Any, noise: Any, alpha_bar: Any) -> Any:
+    """Return the noisy sample √ᾱ x + √(1 − ᾱ) ε of clean x and unit noise ε, for arrays and tensors alike."""
+    return alpha_bar**0.5 * x + (1.0 - alpha_bar) ** 0.5 * noise
+
+
+def velocity(x: Any, noise: Any, alpha_bar: Any) -> Any:
+    """Return the prediction target v = √ᾱ ε − √(1 − ᾱ) x of clean x and unit noise ε, for arrays and tensors alike."""
+    return alpha_bar**0.5 * noise - (1.0 - alpha_bar) ** 0.5 * x
+
+
+def ddim_step(noisy: Any, v: Any, before: float, after: float) -> Any:
+    """Take one DDIM step (η = 0) of a noisy sample from ᾱ = before to ᾱ = after, given the predicted v."""
+    x = before**0.5 * noisy - (1.0 - before) ** 0.5 * v
+    noise = before**0.5 * v + (1.0 - before) ** 0.5 * noisy
+    return after**0.5 * x + (1.0 - after) ** 0.5 * noise

@@ -17,8 +17,7 @@ from torch.nn import functional
 
 from ...datasets.tactile_pairs import Pairs
 from ...tactile.diffusion.conditioning import NormalisedAppearance, build_condition, normalise_appearance
-from ...tactile.diffusion.predict import denoise
-from ...tactile.diffusion.schedule import TRAIN_STEPS, alpha_bars, log_snr, noised, velocity
+from ...tactile.diffusion.predict import TRAIN_STEPS, alpha_bars, denoise, log_snr, noised, velocity
 from ...tactile.diffusion.unet import HEADS, INPUT_CHANNELS, REGRESSION, MapConfig
 
 Array = NDArray[np.float32]

@@ -4,10 +4,14 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from hnf_core.action.action import read_action_csv, write_action_csv
 from hnf_core.action.parse_stroke import parse_stroke
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
+from hnf_core.action.stroke_words import EXAMPLES
 from hnf_core.cli.main import build_parser, main
 from hnf_core.cli.touch import make_touch_request
 from hnf_core.export.wav import read_wav
@@ -21,9 +25,10 @@ def no_blender(arguments):
     raise AssertionError("synth needs no Blender")
 
 
-def synth(tmp_path, capsys, stroke, name="x.wav"):
+def synth(tmp_path, capsys, stroke, name="x.wav", more=()):
     out = tmp_path / name
-    assert main(["synth", "--material", MATERIAL, "--stroke", stroke, "--out", str(out), "--json"], no_blender) == 0
+    words = ["synth", "--material", MATERIAL, "--stroke", stroke, "--out", str(out), "--json", *more]
+    assert main(words, no_blender) == 0
     return out, json.loads(capsys.readouterr().out)
 
 
@@ -98,3 +103,40 @@ def test_touch_passes_words_on_as_a_primitive():
     first, second = (placement.primitive for placement in request.strokes)
     assert first is PRIMITIVES["rub-fast"]
     assert (second.name, second.force, second.direction) == ("bottom-top-3n-100mm-s", 3.0, (0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "words", ["left-right-soft", "back and forth twice, slowly", "tap twice, then rub in circles", "drum for 1 s, 2 N"]
+)
+def test_a_written_action_is_felt_as_the_words(tmp_path, capsys, words):
+    table, again = tmp_path / "said.csv", tmp_path / "again.wav"
+    out, record = synth(tmp_path, capsys, words, more=["--write-action", str(table)])
+    assert record["action"] == str(table)
+    shared = ["synth", "--material", MATERIAL, "--action", str(table), "--out", str(again)]
+    assert main(shared, no_blender) == 0
+    said, read = read_wav(out).samples, read_wav(again).samples
+    np.testing.assert_allclose(read, said, atol=1e-6 * np.abs(said).max())
+    assert main([*shared, "--write-action", str(tmp_path / "x.csv")], no_blender) == 2
+    assert "Leave out one" in capsys.readouterr().err
+    assert not (tmp_path / "x.csv").exists()
+
+
+@given(st.sampled_from(EXAMPLES), st.integers(0, 5))
+def test_a_table_keeps_every_action_in_words(tmp_path_factory, words, seed):
+    action = make_primitive_action(parse_stroke(words), seed=seed)
+    path = tmp_path_factory.mktemp("table") / "said.csv"
+    write_action_csv(path, action)
+    told = []
+    read = read_action_csv(path, warn=told.append)
+    assert told == []
+    for name in ("speed", "force", "position", "contact"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(action, name))
+    np.testing.assert_allclose(read.direction, action.direction, atol=1e-15)
+    assert (read.rate, read.force_curve) == (action.rate, None)
+
+
+def test_a_table_of_words_starts_with_the_columns_that_are_read(tmp_path):
+    write_action_csv(tmp_path / "said.csv", make_primitive_action("rub-slow"))
+    header, first, *_ = (tmp_path / "said.csv").read_text().splitlines()
+    assert header == "time_s,direction_rad,speed_m_s,force_n,position_m"
+    assert len(first.split(",")) == 5

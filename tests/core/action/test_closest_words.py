@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from hnf_core.action.parse_stroke import parse_stroke
-from hnf_core.errors import MaterialError, UsageError
+from hnf_core.errors import MaterialError, UsageError, close_matches, format_choices
 from hnf_core.material.library import get_material
-from hnf_core.text import close_matches, format_choices
 
 THINGS = ["Bowl", "Cushion", "Lemon", "Notebook", "Table", "Tile", "Tin"]
 

@@ -29,9 +29,9 @@ from hnf_core.actuators.virtual.port import VirtualPort
 from hnf_core.actuators.virtual.serial_device import Capabilities
 from hnf_core.cli.main import main
 from hnf_core.cli.stream import LevelMeter, format_meter
+from hnf_core.errors import pluralize
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
-from hnf_core.text import pluralize
 
 ROOT = Path(__file__).resolve().parents[3]
 HNF = [sys.executable, "-c", "import sys; from hnf_core.cli.main import main; sys.exit(main(sys.argv[1:], None))"]

@@ -103,6 +103,7 @@ def test_a_file_that_cannot_be_written_is_told_after_a_stop_too(tmp_path: Path) 
         BufferSource(noise(LONG_S), 10000.0, loop=True), FileSink(tmp_path / "taken" / "x.wav", 10000), LIMITS
     )
     stream.start()
+    assert comes(lambda: stream.report.frames > 0)  # without a frame there is no file to write, hence no problem
     (tmp_path / "taken").rmdir()
     (tmp_path / "taken").write_text("a file, no folder")
     stream.stop()

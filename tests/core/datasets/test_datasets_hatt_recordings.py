@@ -200,5 +200,5 @@ def leaves(thing) -> list:
         return [(thing.dtype.str, thing.shape, thing.tobytes())]
     if isinstance(thing, tuple | frozenset):
         return [leaf for part in sorted(thing) for leaf in leaves(part)]
-    assert isinstance(thing, str | float), type(thing)
+    assert thing is None or isinstance(thing, str | float), type(thing)
     return [thing]

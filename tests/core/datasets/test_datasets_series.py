@@ -18,7 +18,7 @@ from hnf_core.datasets.time_series import (
 )
 from hnf_core.errors import FileError
 
-grids = st.integers(0, 2**32).map(lambda seed: np.cumsum(np.random.default_rng(seed).uniform(0.1, 2.0, 40)))
+grids = st.integers(0, 2**32).map(lambda seed: np.cumsum(np.random.default_rng(seed).uniform(0.6, 1.4, 40)))
 coefficients = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
 
 

@@ -20,7 +20,7 @@ from hnf_core.field.adaptive_sampling import (
     sample_adaptively,
 )
 from hnf_core.field.field import Emission, evaluate
-from hnf_core.field.prepare import make_evaluate_at, prepare_sampled, prepare_stroke
+from hnf_core.field.prepare import StrokeCourse, make_evaluate_at, prepare_sampled, prepare_stroke
 from hnf_core.field.render import render_block, render_carriers, render_samples
 from hnf_core.field.stroke import HeightProfile, interpolate_condition, resample_action, sample_count, uniform_stroke
 from hnf_core.field.synthesis import synthesise
@@ -185,7 +185,7 @@ def test_a_signal_within_the_tolerance_of_the_reference():
 
 
 @pytest.mark.parametrize(
-    ("material", "followed"), [("leather", 3), ("silk", 0), ("knurled-metal", 1), ("sandstone", 0)]
+    ("material", "followed"), [("leather", 3), ("silk", 3), ("knurled-metal", 2), ("sandstone", 1)]
 )
 def test_the_tolerance_is_met_or_an_honest_error_is_reported(material, followed):
     """Where it is hardest: tones that pass from band to band as the hand turns, bands that a slow hand leaves."""
@@ -229,7 +229,7 @@ def test_a_stroke_is_prepared_from_any_samples():
     action, token_index = resample_action(stroke)
     evaluate_at = make_evaluate_at(linear_field(), stroke, action, token_index)
     sampled = sample_adaptively(evaluate_at, sample_count(action), 0.0, find_breakpoints(action, token_index))
-    prepared = prepare_sampled(linear_field(), stroke, 1, action, token_index, sampled)
+    prepared = prepare_sampled(linear_field(), stroke, 1, action, token_index, sampled, StrokeCourse())
     assert np.array_equal(prepared.knots, prepare_stroke(linear_field(), stroke, seed=1, tolerance=0.0).knots)
     every, fine = synthesise_every_sample(linear_field(), stroke, 1), render_samples(prepared)
     assert np.sqrt(np.mean(np.square(every - fine))) < 0.02 * np.sqrt(np.mean(np.square(fine)))

@@ -8,13 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.field.carriers import MODEL_RATE_HZ
-from hnf_core.field.contact_filter import LEAD_SAMPLES, TAIL_SAMPLES, build_filter_bank, compute_impulse_response
+from hnf_core.field.contact.contact_filter import (
+    LEAD_SAMPLES,
+    TAIL_SAMPLES,
+    build_filter_bank,
+    compute_impulse_response,
+)
 from hnf_core.field.stroke import SAMPLES_PER_STATE, evaluate_bspline
 from hnf_core.kernel.compiled_carriers import StateResponses
 from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.contact_model import force_response
 from hnf_core.material.library import get_material, load_library
-from hnf_core.material.probe import PROBES
+from hnf_core.material.probe import PROBE_NAMES, get_probe
 
 MATERIALS = tuple(get_material(name).mechanics for name in ("leather", "brass"))
 needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
@@ -24,7 +29,7 @@ needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled ke
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.tuples(st.floats(0.0, 8.0), st.integers(1, 120)), min_size=1, max_size=5),
-    st.integers(-3000, 12000), st.integers(2, 6000), st.sampled_from(sorted(PROBES)), st.integers(0, 99),
+    st.integers(-3000, 12000), st.integers(2, 6000), st.sampled_from(sorted(PROBE_NAMES)), st.integers(0, 99),
 )  # fmt: skip
 def test_the_kernel_presses_as_numpy_does(steps, start, count, probe, seed):
     """Forces that last and change, two materials, any stretch of samples, also beyond the ends."""
@@ -63,7 +68,7 @@ def test_a_response_that_is_cut_short_is_the_exact_one():
     spectrum = np.fft.rfft(pressed - pressed.mean(), size) * taper
     inside, errors = slice(2 * margin, margin + 19_000), []
     for material in load_library():
-        for probe in PROBES.values():
+        for probe in map(get_probe, PROBE_NAMES):
             response = compute_impulse_response(force_response, material.mechanics, probe, 1.0)
             exact = np.fft.irfft(spectrum * force_response(frequency, material.mechanics, probe, 1.0), size)
             found = np.convolve(pressed, response)[LEAD_SAMPLES:]
@@ -73,7 +78,7 @@ def test_a_response_that_is_cut_short_is_the_exact_one():
 
 
 def test_a_response_passes_nothing_on_that_is_steady():
-    for probe in PROBES.values():
+    for probe in map(get_probe, PROBE_NAMES):
         response = compute_impulse_response(force_response, MATERIALS[0], probe, 1.0)
         for steady in (
             np.ones(LEAD_SAMPLES + TAIL_SAMPLES),

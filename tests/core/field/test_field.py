@@ -16,7 +16,7 @@ from hnf_core.field.field import Emission, Field, FieldConfig, accumulate, evalu
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.field.synthesis import synthesise
-from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field, save_field
+from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field, read_encoders, save_field
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import load_library
 from hnf_core.material.token import BAND_FEATURES, ENCODER_ID, TOKEN_DIM
@@ -74,12 +74,8 @@ def both_ways(field, entry, speed, force, angles):
 
 
 AXES = (0.0, 0.5 * np.pi)
-BEYOND_ON_AXES = pytest.mark.xfail(
-    strict=True, reason="speed exponent 1.52 exactly along the threads, where the simulator itself has 1.44"
-)
-BEYOND = ("carbon-fibre", AXES)
 WAYS = [
-    pytest.param(e, angles, id=f"{e.name}-{name}", marks=BEYOND_ON_AXES if (e.name, angles) == BEYOND else ())
+    pytest.param(e, angles, id=f"{e.name}-{name}")
     for e in LIBRARY
     for name, angles in (("axes", AXES), ("library", STROKE_ANGLES_RAD))
 ]
@@ -113,9 +109,16 @@ def test_materials_differ():
         expected_spectrum(field, e.token, e.mechanics, "pen", ALONG, 0.1, 1.0, np.arange(10.0, 1000.0, 10.0))
         for e in LIBRARY
     ]
-    distances = [spectrum_distance_db(a, b) for i, a in enumerate(spectra) for b in spectra[:i]]
-    assert np.median(distances) > 3.0
-    assert min(distances) > 0.3
+    distances = {
+        (LIBRARY[i].name, LIBRARY[j].name): spectrum_distance_db(a, b)
+        for i, a in enumerate(spectra)
+        for j, b in enumerate(spectra[:i])
+    }
+    # Fitted to the same recordings. Simulated on 48 patches each they are 0.9 dB apart, two halves of either 1.2 dB:
+    # under a pen they differ by the chance of their patches alone.
+    assert distances.pop(("flannel", "fleece")) < 0.5
+    assert np.median(list(distances.values())) > 3.0
+    assert min(distances.values()) > 0.3
 
 
 def test_unknown_mechanics_are_known_territory():
@@ -396,4 +399,4 @@ def test_missing_weights_are_a_file_error(tmp_path):
 
 
 def test_the_encoder_is_named():
-    assert load_field().metadata["encoder"] == ENCODER_ID
+    assert read_encoders(load_field().metadata) == (ENCODER_ID,)

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
-from hnf_core.field.contact_filter import (
+from hnf_core.field.contact.contact_filter import (
     LEAD_SAMPLES,
     LOADS_PER_OCTAVE,
     TAIL_SAMPLES,
@@ -24,7 +24,7 @@ from hnf_core.field.synthesis import RenderedStroke, Superseded, render_incremen
 from hnf_core.field.weights import load_field
 from hnf_core.material.contact_model import Mechanics, force_response, height_response
 from hnf_core.material.library import get_material, load_library
-from hnf_core.material.probe import PROBES
+from hnf_core.material.probe import PROBE_NAMES, get_probe
 
 FIELD = load_field()
 STATES = 401
@@ -149,7 +149,7 @@ def test_the_contact_between_two_loads_is_that_of_the_load() -> None:
     """Blended responses against the exact one, halfway between two loads; all materials, both probes."""
     worst = 0.0
     for material in load_library():
-        for probe in PROBES.values():
+        for probe in map(get_probe, PROBE_NAMES):
             for response in (height_response, force_response):
                 for load in (0.125, 1.0, 4.0):
                     low, high, exact = (

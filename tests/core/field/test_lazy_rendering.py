@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_tools.bench_strokes import count_states, make_scrape
+from data_tools.bench_strokes import make_scrape
 from hnf_core.action.action import ACTION_RATE_HZ
 from hnf_core.field import prepare as prepared
-from hnf_core.field import render, synthesis
+from hnf_core.field import synthesis
 from hnf_core.field.adaptive_sampling import MIN_INTERVAL
 from hnf_core.field.carriers import MODEL_RATE_HZ
 from hnf_core.field.field import BATCH_STATES
@@ -22,47 +22,37 @@ from hnf_core.field.render import render_chunks
 from hnf_core.field.stroke import SAMPLES_PER_STATE, HeightProfile
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
+from hnf_core.progress import count_work
 
 SEED = 3
 SECONDS = 8
 
 
-@pytest.fixture
-def rendered(monkeypatch):
-    """First samples and lengths of what the carriers were summed for."""
-    spans = []
-    texture = render.render_carriers
-
-    def counted(prepared, start, count):
-        spans.append((start, count))
-        return texture(prepared, start, count)
-
-    monkeypatch.setattr(render, "render_carriers", counted)
-    return spans
-
-
 @pytest.mark.parametrize("touching_s", [0.5, 2.0, 5.0])
-def test_no_carrier_is_summed_far_from_contact(rendered, touching_s):
-    made = synthesis.synthesise(load_field(), make_scrape(SECONDS, touching_s), seed=SEED)
+def test_no_carrier_is_summed_far_from_contact(touching_s):
+    with count_work() as work:
+        made = synthesis.synthesise(load_field(), make_scrape(SECONDS, touching_s), seed=SEED)
     heard_until = (touching_s + AFTER_CONTACT_S) * MODEL_RATE_HZ + SAMPLES_PER_STATE
-    assert sum(count for _, count in rendered) <= heard_until + BLOCK_SAMPLES
-    assert all(start < heard_until for start, _ in rendered)
+    assert 0 < work.total("samples") <= heard_until + BLOCK_SAMPLES
+    assert all(start < heard_until for start in work.items["samples"])
     assert len(made.signal.samples) == SECONDS * MODEL_RATE_HZ
     assert (made.signal.samples[int(heard_until) + 1 :] == 0.0).all()
     assert np.abs(made.signal.samples[: int(touching_s * MODEL_RATE_HZ)]).max() > 0.0
 
 
-def test_a_hand_that_never_touches_costs_no_sample(rendered):
-    (made,) = (portion.samples for portion in render_chunks(load_field(), make_scrape(SECONDS, -1.0), seed=SEED))
-    assert rendered == []
+def test_a_hand_that_never_touches_costs_no_sample():
+    with count_work() as work:
+        (made,) = (portion.samples for portion in render_chunks(load_field(), make_scrape(SECONDS, -1.0), seed=SEED))
+    assert work.amounts["samples"] == []
     assert (made == 0.0).all()
 
 
 @pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 def test_a_state_is_evaluated_once_and_512_at_most_together():
     field, stroke = load_field(), make_scrape(SECONDS)
-    with count_states() as states:
+    with count_work() as work:
         prepared.prepare_stroke(field, stroke, seed=SEED)
+    states = work.amounts["states"]
     assert sum(states) == len(stroke.action.speed)
     assert max(states) == BATCH_STATES
     assert len(states) == -(-sum(states) // BATCH_STATES)
@@ -70,8 +60,9 @@ def test_a_state_is_evaluated_once_and_512_at_most_together():
 
 def test_numpy_evaluates_states_once_plus_the_chunk_overlap():
     field, stroke = load_field(), make_scrape(SECONDS)
-    with count_states() as states, without_kernel():
+    with count_work() as work, without_kernel():
         prepared.prepare_stroke(field, stroke, seed=SEED)
+    states = work.amounts["states"]
     count = len(stroke.action.speed)
     groups = -(-count // prepared.CHUNK_STATES)
     assert len(states) == groups
@@ -83,8 +74,9 @@ def test_numpy_evaluates_states_once_plus_the_chunk_overlap():
 def test_no_state_is_evaluated_far_from_contact(tolerance, touching_s):
     """But for the portion in which the hand lifts, and nothing changes for what is felt."""
     field, stroke = load_field(), make_scrape(SECONDS, touching_s)
-    with count_states() as states:
+    with count_work() as work:
         made = prepared.prepare_stroke(field, stroke, seed=SEED, tolerance=tolerance)
+    states = work.amounts["states"]
     heard = max(touching_s, 0.0) * ACTION_RATE_HZ
     if tolerance is None:
         assert sum(states) <= heard + 2 * prepared.CHUNK_STATES + len(states) * prepared.count_memory_states(field)
@@ -101,7 +93,7 @@ def test_what_is_left_out_in_the_air_would_have_been_nothing(monkeypatch, profil
         stroke = replace(stroke, profile=HeightProfile(1e-4, -1e-3, 1e-6 * np.sin(np.arange(9000) / 3.0), 4e-4))
     short = synthesis.synthesise(field, stroke, seed=SEED).signal.samples
     monkeypatch.setattr(prepared, "has_no_contact", lambda condition, states: False)
-    with count_states() as evaluated:
+    with count_work() as work:
         whole = synthesis.synthesise(field, stroke, seed=SEED).signal.samples
-    assert sum(evaluated) >= len(stroke.action.speed)
+    assert work.total("states") >= len(stroke.action.speed)
     assert short.tobytes() == whole.tobytes()

@@ -30,6 +30,7 @@ from hnf_core.field.synthesis import render_stroke
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.library import get_material
+from hnf_core.progress import count_work
 
 needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
 FIELD = load_field()
@@ -149,16 +150,17 @@ def test_a_later_piece_begins_with_its_own_hops():
 
 
 def test_no_thread_is_begun_where_it_would_not_help(monkeypatch):
-    monkeypatch.setattr(ahead, "run_in_thread", lambda _: pytest.fail("a thread"))
     action = resample_action(make_keyed_stroke(1.0))[0]
-    with without_kernel(), prefetch_noise(FIELD.config, 4, action):
-        pass
     apart = replace(FIELD.config, accumulation="heads")
     without = replace(FIELD.config, carriers=replace(CARRIERS, time_edges_hz=()))
-    for config in (FieldConfig.published(8), apart, without):
-        with prefetch_noise(config, 4, action):
+    with count_work() as work:
+        with without_kernel(), prefetch_noise(FIELD.config, 4, action):
             pass
-    monkeypatch.setattr(ahead, "available_cpus", lambda: 1)
-    with prefetch_noise(FIELD.config, 4, action):
-        pass
+        for config in (FieldConfig.published(8), apart, without):
+            with prefetch_noise(config, 4, action):
+                pass
+        monkeypatch.setattr(ahead, "available_cpus", lambda: 1)
+        with prefetch_noise(FIELD.config, 4, action):
+            pass
+    assert work.total("threads") == 0
     assert drawn() == (0, 0)

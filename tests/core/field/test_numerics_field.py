@@ -11,7 +11,7 @@ from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import StrokeError
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.field import Field, FieldConfig, accumulate, evaluate, initial_parameters
-from hnf_core.field.height_profile import split_profile
+from hnf_core.field.height_profile import compute_profile_power
 from hnf_core.field.prepare import count_memory_states, prepare_stroke
 from hnf_core.field.render import render_contact
 from hnf_core.field.stroke import (
@@ -23,7 +23,7 @@ from hnf_core.field.stroke import (
     uniform_stroke,
 )
 from hnf_core.field.synthesis import synthesise
-from hnf_core.material.contact_model import Mechanics
+from hnf_core.material.contact_model import MECHANICS_LIMITS, MECHANICS_NAMES, Mechanics
 from hnf_core.material.token import TOKEN_DIM
 
 WOOD = Mechanics(8e4, 0.15, 0.3)
@@ -153,7 +153,7 @@ def test_beyond_the_limits_is_refused_by_name(name, side):
     limit = LIMITS[name][side]
     value = limit * (1.5 if limit * (side - 0.5) > 0.0 else 0.5) - (limit == 0.0) * 1e-3
     action, token, profile = make_action(np.full(5, 0.1), 1.0), rough_token(), ROUGH
-    mechanics = {"stiffness [N/m]": "stiffness_n_m", "damping ratio": "damping_ratio", "friction": "friction"}
+    mechanics = dict(zip(MECHANICS_LIMITS, MECHANICS_NAMES, strict=True))
     columns = {"speed [m/s]": "speed", "force [N]": "force", "position [m]": "position", "direction": "direction"}
     profiles = {
         "profile step [m]": "step_m",
@@ -228,4 +228,4 @@ def test_what_is_read_is_never_above_the_model_rates_band():
 
 def test_a_profile_shorter_than_any_carrier_s_wave_gives_nothing() -> None:
     tiny = HeightProfile(step_m=1e-9, origin_m=1e-9, height=np.array([0.0, 1e-9, 0.0, 1e-9]), resolved_wavelength_m=0.0)
-    assert not split_profile(tiny, Carriers()).power.any()
+    assert not compute_profile_power(tiny, Carriers()).any()

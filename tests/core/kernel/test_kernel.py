@@ -251,10 +251,14 @@ def test_what_it_would_misread_never_reaches_it():
     for row in ([[0], [4]], [[-1], [0]], [[0, 1], [0, 1]], [0, 1]):
         with pytest.raises(ValueError, match="rows"):
             blend_rows(none, values, np.array(row), one, one)
+    numbers = (
+        "per_octave", "concentration", "bump_mean", "least_left", "hand", "hand_damping", "least_across", "clear_peak",
+        "least_offset_scale",
+    )  # fmt: skip
     given = {
         "features": TOKEN_FEATURES, "kappa": np.ones(9), "share": np.ones(9), "wavelength": np.ones(3),
-        "turn": np.ones((4, 4)), "below": np.ones(9, int), "nearest_end": np.full(3, 9), "shift": np.ones(4, int),
-        **dict.fromkeys(("per_octave", "concentration", "bump_mean", "least_left", "hand", "hand_damping"), 1.0),
+        "line_share": np.ones(3), "turn": np.ones((4, 4)), "below": np.ones(9, int), "nearest_end": np.full(3, 9),
+        "shift": np.ones(4, int), **dict.fromkeys(numbers, 1.0),
     }  # fmt: skip
     tables, touch = ContactTables(**given), np.ones((2, len(CONTACT_COLUMNS)))
     for wrong in (
@@ -262,6 +266,7 @@ def test_what_it_would_misread_never_reaches_it():
         {"nearest_end": np.full(3, 10)},
         {"shift": -np.ones(4, int)},
         {"share": one},
+        {"line_share": np.ones(4)},
     ):
         with pytest.raises(ValueError, match="tables"):
             ContactTables(**given | wrong)

@@ -36,7 +36,7 @@ from hnf_core.kernel.compiled_field import (
 from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import get_material, load_library
-from hnf_core.material.probe import PROBES
+from hnf_core.material.probe import PROBE_NAMES
 from hnf_lab.bench.synth import TableGrid, evaluate_table, interpolate_table, tabulate_field
 
 needs_kernel = pytest.mark.skipif(load_kernel() is None, reason=f"no compiled kernel here: {why_unavailable()}")
@@ -79,7 +79,7 @@ def states(seed: int, count: int = 40, probe: str = "pen") -> Condition:
 @needs_kernel
 @pytest.mark.parametrize("name", FORMS)
 @settings(max_examples=12, deadline=None)
-@given(st.integers(0, 10**6), st.sampled_from(sorted(PROBES)))
+@given(st.integers(0, 10**6), st.sampled_from(sorted(PROBE_NAMES)))
 def test_what_is_emitted_is_what_numpy_says(name, seed, probe):
     field, condition = field_of(name), states(seed, probe=probe)
     assert kernel_supports(field.config)
@@ -106,7 +106,7 @@ def test_unsupported_field_forms_fall_back_to_numpy():
 
 @needs_kernel
 @settings(max_examples=25, deadline=None)
-@given(st.integers(0, 10**6), st.integers(1, 70), st.integers(1, 4), st.sampled_from(sorted(PROBES)))
+@given(st.integers(0, 10**6), st.integers(1, 70), st.integers(1, 4), st.sampled_from(sorted(PROBE_NAMES)))
 def test_one_state_after_another_is_all_of_them_at_once(seed, hidden, layers, probe):
     """Whatever the widths, and whatever the state before has left."""
     config = replace(SHARED.config, hidden=hidden, layers=layers)

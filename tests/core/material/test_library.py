@@ -15,8 +15,8 @@ from hnf_core.material.band_descriptor import describe
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import LIBRARY_PATH, get_material, load_library, read_library
 from hnf_core.material.token import BAND_FEATURES, band_slice
+from hnf_core.signal import dft321
 from hnf_core.simulation.contact_dynamics import SmoothedMaps
-from hnf_core.simulation.dft321 import dft321
 from hnf_core.simulation.simulate import simulate_batch, straight_stroke
 from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map
 from hnf_core.tactile.height import tactile_map_from_height

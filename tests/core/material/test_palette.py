@@ -1,5 +1,8 @@
 """The palette: one entry per distinct material, exact round trips, and detection of damage."""
 
+from dataclasses import replace
+from hashlib import sha256
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,13 +10,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import FileError, MaterialError
-from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
+from hnf_core.material.contact_model import MECHANICS_NAMES, UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.palette import MERGE_TOLERANCE, Palette, build_palette
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM, split_encoders
 
 finite = st.floats(-100, 100, width=32)
 values = st.none() | st.floats(1e-3, 1e6)
-mechanics = st.builds(Mechanics, values, values, values)
+three = st.builds(Mechanics, values, values, values)
+mechanics = three | st.builds(Mechanics, *[values] * len(MECHANICS_NAMES))
 tokens = hnp.arrays(np.float32, TOKEN_DIM, elements=finite)
 entries = st.lists(st.tuples(tokens, mechanics, st.text(max_size=12)), max_size=5)
 
@@ -91,6 +95,35 @@ def test_a_palette_keeps_the_makes_of_its_tokens(pair, names):
     assert (again == pair) == (names == (ENCODER_ID,))
     with pytest.raises(ValueError, match="unknown encoder 'other'"):
         build_palette(list(pair.tokens), pair.mechanics, pair.names, encoders=("other",))
+
+
+def test_three_properties_are_written_as_by_version_0_1():
+    rows = [np.arange(TOKEN_DIM, dtype=np.float32) / 8 - k for k in range(2)]
+    palette, _ = build_palette(rows, [Mechanics(1e4, 0.1, 0.3), UNKNOWN_MECHANICS], ["oak", "félt"])
+    data = palette.to_bytes()
+    assert len(data) == 784
+    assert sha256(data).hexdigest() == "a851aafc1c0339ba1f2b49d3d4d0ac9d800e28cdf862b909b587274f1d0c9107"
+    assert palette.content_hash == "5c534257d645c0ad23a03f5f9cf441f6"
+
+
+@pytest.mark.parametrize("name", MECHANICS_NAMES[3:])
+def test_one_further_property_is_written_with_all_before_it(pair, name):
+    """Also a zero, which is not unknown."""
+    for value in (0.0, 0.7):
+        richer = replace(pair, mechanics=(replace(pair.mechanics[0], **{name: value}), pair.mechanics[1]))
+        again = Palette.from_bytes(richer.to_bytes())
+        assert again.mechanics == richer.mechanics
+        # Palettes from before pitch scattered had seven properties, and keep their bytes.
+        width = 8 if name == "pitch_scatter_m" else 7
+        assert f'"shape": [2, {width}]'.encode() in richer.to_bytes()
+        assert richer.content_hash != pair.content_hash
+
+
+def test_a_palette_of_another_number_of_properties_is_refused(pair):
+    data = pair.to_bytes().replace(b'"shape": [2, 3]', b'"shape": [2, 4]')
+    assert data != pair.to_bytes()
+    with pytest.raises(FileError, match="4 properties"):
+        Palette.from_bytes(data)
 
 
 def test_other_programs_can_read_the_stored_form(pair):

@@ -41,11 +41,12 @@ def test_a_token_hardly_moves_with_the_place_and_the_sensor():
 
 
 def test_noise_in_views_moves_it_less_than_the_descriptor():
+    """Noise of 0.5 %; at 2 % the relief of the library's finest surfaces, some micrometers, is lost to both."""
     moved = {
         name: np.median(
             [
-                compute_level_change_db(token(name, which, near_views=4), token(name, which, near_views=4, noise=0.02))
-                for which in range(3)
+                compute_level_change_db(token(name, which, near_views=4), token(name, which, near_views=4, noise=0.005))
+                for which in range(len(PIECES))
             ]
         )
         for name in (ALEXNET_ID, ENCODER_ID)

@@ -23,7 +23,7 @@ from hnf_core.material.contact_model import (
     resonance_hz,
     tip_response,
 )
-from hnf_core.material.probe import PROBES
+from hnf_core.material.probe import PROBE_NAMES, get_probe
 from hnf_core.material.token import LEVELS, SMOOTH_LEVEL, TOKEN_DIM
 from hnf_core.scene.camera import Patch
 from hnf_core.tactile.height import MAX_HEIGHT_M, height_from_slopes, tactile_map_from_height
@@ -150,12 +150,12 @@ def test_sensor_images_of_any_brightness(factor):
     assert np.isfinite(token.values).all()
 
 
-@pytest.mark.parametrize("probe", sorted(PROBES))
+@pytest.mark.parametrize("probe", sorted(PROBE_NAMES))
 @pytest.mark.parametrize("stiffness", LIMITS["stiffness [N/m]"])
 @pytest.mark.parametrize("damping", LIMITS["damping ratio"])
 def test_linear_contact(stiffness, damping, probe):
     """Linear contact at the ends of its limits, forces 0, denormal to 1e7 N, 0 to 1 MHz → finite; at 0 N nothing"""
-    mechanics, tip = Mechanics(stiffness, damping, 0.3), PROBES[probe]
+    mechanics, tip = Mechanics(stiffness, damping, 0.3), get_probe(probe)
     force = np.array([0.0, 5e-324, 1e-300, 1e-9, 1.0, 1e7])
     frequency = np.array([0.0, 5e-324, 1.0, 1e3, 1e6])[:, None]
     values = [contact_stiffness(mechanics, tip, force), contact_radius(mechanics, tip, force)]

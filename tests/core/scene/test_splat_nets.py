@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import SceneError, UsageError
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.scale import compute_metric_scale
 from hnf_core.scene.splats.tsdf import GridSamples, SurfaceNet, extract_surface
 from hnf_core.scene.splats.voxel_grid import (
     MAX_CELLS_PER_AXIS,
@@ -21,6 +20,7 @@ from hnf_core.scene.splats.voxel_grid import (
     find_nearest_triangles,
     label_components,
 )
+from hnf_core.units import compute_metric_scale
 from reference.geometry import ReferenceGeometry
 
 

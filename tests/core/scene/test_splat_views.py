@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from splat_clouds import assert_as_defined, assert_same_view, both, close_up, cloud, perspective, splats
 
 from hnf_core.errors import UsageError
+from hnf_core.progress import count_work
 from hnf_core.scene.camera import Camera, orthographic
 from hnf_core.scene.splats import rasterize
 from hnf_core.scene.splats.io_ply import read_splats
@@ -250,26 +251,20 @@ def test_the_size_of_tiles_changes_nothing(monkeypatch):
             np.testing.assert_allclose(this, first, rtol=1e-6, atol=1e-6)
 
 
-def test_work_follows_the_crop(monkeypatch):
+def test_work_follows_the_crop():
     """A sheet of splats: those met, their colours and the pairs all shrink with the area that is looked at."""
-    coloured = []
-    original = rasterize.evaluate_sh_colours
-
-    def counted(harmonics, towards):
-        coloured.append(len(harmonics))
-        return original(harmonics, towards)
-
-    monkeypatch.setattr(rasterize, "evaluate_sh_colours", counted)
     places = np.random.default_rng(8).uniform(-1.0, 1.0, (4000, 3)) * [1.0, 1.0, 0.01]
     sheet, camera = splats(places, 0.01, 0.3), close_up(128)
-    whole = render_splats(sheet, camera)
+    with count_work() as work:
+        whole = render_splats(sheet, camera)
+    assert work.total("splats") == whole.drawn
     for times in (2, 4, 8):
         side = 128 // times
-        part = render_splats(sheet, camera.crop(40, 56, side, side))
-        assert part.drawn == coloured[-1]
+        with count_work() as work:
+            part = render_splats(sheet, camera.crop(40, 56, side, side))
+        assert work.total("splats") == part.drawn
         assert part.pairs == pytest.approx(whole.pairs / times**2, rel=0.25)
         assert part.drawn < 1.2 * (whole.drawn / times**2) * (1.0 + 4.0 / side) ** 2
-    assert coloured[0] == whole.drawn
 
 
 def test_an_opaque_front_ends_the_work():

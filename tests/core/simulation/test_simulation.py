@@ -12,10 +12,17 @@ from hypothesis import strategies as st
 from hnf_core.errors import MaterialError
 from hnf_core.material import contact_model
 from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
-from hnf_core.material.probe import PROBES
+from hnf_core.material.probe import PROBE_NAMES, get_probe
+from hnf_core.signal import dft321
 from hnf_core.simulation.contact_dynamics import HAND_DRAG_PER_S, SmoothedMaps
-from hnf_core.simulation.dft321 import dft321
-from hnf_core.simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate, simulate_batch, straight_stroke
+from hnf_core.simulation.simulate import (
+    LEARNED_PHYSICS,
+    SAMPLE_RATE_HZ,
+    Stroke,
+    simulate,
+    simulate_batch,
+    straight_stroke,
+)
 from hnf_core.simulation.surface_recipe import (
     EXAMPLE_RECIPES,
     TILE_SIZE_M,
@@ -28,7 +35,7 @@ from hnf_core.simulation.surface_recipe import (
     random_recipe,
 )
 
-PEN = PROBES["pen"]
+PEN = get_probe("pen")
 WOOD = Mechanics(1.0e5, 0.2, 0.3)
 FLAT = SmoothedMaps(np.zeros((64, 64), np.float32))
 
@@ -156,7 +163,8 @@ def test_a_ripple_is_smoothed_by_the_tip_response_of_the_contact():
 @pytest.mark.parametrize("speed", [0.0, 0.1])
 @pytest.mark.parametrize("force", [0.0, 0.3, 3.0])
 def test_a_steady_stroke_on_a_flat_surface_is_silent(speed, force):
-    acceleration = simulate(FLAT, straight_stroke(speed, force, 0.2, angle_rad=0.4), WOOD)
+    stroke = straight_stroke(speed, force, 0.2, angle_rad=0.4)
+    acceleration = simulate(FLAT, stroke, WOOD, physics=LEARNED_PHYSICS)
     assert np.abs(acceleration).max() < 1e-3 * max(force, 1.0)
 
 
@@ -165,7 +173,7 @@ def test_a_steady_stroke_on_a_flat_surface_is_silent(speed, force):
 def test_a_small_ripple_gives_the_linear_response(stiffness, probe, periods, speed):
     mechanics, amplitude = Mechanics(stiffness, 0.25, 0.3), 2e-9
     stroke = straight_stroke(speed, 1.0, 1.0)
-    normal = simulate(wave(periods, amplitude), stroke, mechanics, PROBES[probe])[4000:, 2]
+    normal = simulate(wave(periods, amplitude), stroke, mechanics, get_probe(probe))[4000:, 2]
     kappa = periods / TILE_SIZE_M
     tone = kappa * speed
     spectrum = np.abs(np.fft.rfft(normal * np.hanning(len(normal)))) / (0.25 * len(normal))
@@ -173,14 +181,15 @@ def test_a_small_ripple_gives_the_linear_response(stiffness, probe, periods, spe
     near = np.abs(frequency - tone) < 5.0
     assert np.abs(frequency[np.argmax(spectrum)] - tone) <= 2.0
     measured = np.sqrt(np.sum(spectrum[near] ** 2) / 1.5)
-    linear = abs(contact_model.height_response(tone, mechanics, PROBES[probe], 1.0))
-    linear = linear * contact_model.tip_response(kappa, mechanics, PROBES[probe], 1.0) * amplitude
+    linear = abs(contact_model.height_response(tone, mechanics, get_probe(probe), 1.0))
+    linear = linear * contact_model.tip_response(kappa, mechanics, get_probe(probe), 1.0) * amplitude
     assert measured == pytest.approx(float(linear), rel=0.06)
 
 
 def test_the_surface_never_pulls_and_a_rough_one_lets_go():
     surface, force = SmoothedMaps(height_map(EXAMPLE_RECIPES["rough"].scale_heights(4.0), 1)), 0.5
-    normal = simulate(surface, straight_stroke(0.2, force, 0.5, angle_rad=0.3), WOOD, oversample=1)[:, 2]
+    stroke = straight_stroke(0.2, force, 0.5, angle_rad=0.3)
+    normal = simulate(surface, stroke, WOOD, oversample=1, physics=LEARNED_PHYSICS)[:, 2]
     free_fall = -force / PEN.mass_kg
     assert normal.min() >= free_fall * (1.0 + HAND_DRAG_PER_S * 0.05)
     assert np.mean(np.abs(normal / free_fall - 1.0) < 0.05) > 0.05
@@ -212,8 +221,9 @@ def test_turning_surface_and_stroke_turns_the_acceleration():
     turned_stroke = Stroke(stroke.position @ np.array([[0.0, 1.0], [-1.0, 0.0]]), stroke.force)
     # (x, y) → (−y, x): with rows running down, a map turned so is read from its last column; origin stays a pixel
     turned_height = np.roll(np.rot90(height), 1, axis=0)
-    plain = simulate(SmoothedMaps(height), stroke, WOOD)
-    turned = simulate(SmoothedMaps(np.ascontiguousarray(turned_height)), turned_stroke, WOOD)
+    plain = simulate(SmoothedMaps(height), stroke, WOOD, physics=LEARNED_PHYSICS)
+    turned_map = SmoothedMaps(np.ascontiguousarray(turned_height))
+    turned = simulate(turned_map, turned_stroke, WOOD, physics=LEARNED_PHYSICS)
     scale = plain.std()
     assert turned[:, 2] == pytest.approx(plain[:, 2], abs=1e-3 * scale)
     assert turned[:, 0] == pytest.approx(-plain[:, 1], abs=1e-3 * scale)
@@ -231,13 +241,13 @@ def test_grain_is_felt_across_more_than_along():
 def test_force_steps_give_transients_and_friction_follows_motion():
     n = 2000
     force = np.concatenate([np.full(n // 2, 0.2), np.full(n // 2, 2.0)])
-    pressed = simulate(FLAT, Stroke(np.zeros((n, 2)), force), WOOD)
+    pressed = simulate(FLAT, Stroke(np.zeros((n, 2)), force), WOOD, physics=LEARNED_PHYSICS)
     assert pressed[:960, 2] == pytest.approx(np.zeros(960), abs=1e-6)
     assert pressed[990:1030, 2].min() < -0.3 * 1.8 / PEN.mass_kg
     assert np.abs(pressed[1800:, 2]).max() < 0.05 * np.abs(pressed[:, 2]).max()
-    lifted = simulate(FLAT, Stroke(np.zeros((n, 2)), force[::-1].copy()), WOOD)
+    lifted = simulate(FLAT, Stroke(np.zeros((n, 2)), force[::-1].copy()), WOOD, physics=LEARNED_PHYSICS)
     assert lifted[990:1030, 2].max() > 0.3 * 1.8 / PEN.mass_kg
-    moving = simulate(FLAT, Stroke(straight_stroke(0.1, 1.0, 0.2).position, force), WOOD)
+    moving = simulate(FLAT, Stroke(straight_stroke(0.1, 1.0, 0.2).position, force), WOOD, physics=LEARNED_PHYSICS)
     assert np.abs(moving[:, 0]).max() > 1.0
     assert np.abs(moving[:, 1]).max() < 1e-9
 
@@ -245,7 +255,7 @@ def test_force_steps_give_transients_and_friction_follows_motion():
 @settings(max_examples=10, deadline=None)
 @given(
     st.floats(5e2, 5e6), st.floats(0.02, 0.9), st.floats(0.0, 2.0), st.floats(0.0, 0.4), st.floats(0.0, 10.0),
-    st.sampled_from(sorted(PROBES)),
+    st.sampled_from(sorted(PROBE_NAMES)),
 )  # fmt: skip
 def test_any_everyday_contact_stays_finite(stiffness, damping, friction, speed, force, probe):
     surface = SmoothedMaps(height_map(EXAMPLE_RECIPES["pitted"], 1, pixels=256))
@@ -253,7 +263,7 @@ def test_any_everyday_contact_stays_finite(stiffness, damping, friction, speed, 
     ramp = force * np.clip(np.minimum(np.arange(n), n - np.arange(n)) / 200.0, 0.0, 1.0)
     stroke = Stroke(straight_stroke(speed, 1.0, 0.1, angle_rad=0.3).position, ramp)
     mechanics = Mechanics(stiffness, damping, friction)
-    acceleration = simulate(surface, stroke, mechanics, PROBES[probe])
+    acceleration = simulate(surface, stroke, mechanics, get_probe(probe))
     assert np.isfinite(acceleration).all()
     assert np.abs(acceleration).max() < 2e4
 

@@ -14,6 +14,7 @@ from hnf_core.simulation.contact_dynamics import SmoothedMaps
 from hnf_core.simulation.material_classes import (
     DEFAULT_SCATTER,
     MATERIAL_TABLE,
+    compute_octave_height,
     get_category,
     get_recorded_category,
     list_classes,
@@ -56,9 +57,8 @@ def test_instances_are_distinct_near_their_class_and_valid(name, seed):
         (mechanics.friction, mean.mechanics.friction, DEFAULT_SCATTER.friction),
     ):
         assert abs(np.log(value / usual)) <= 2.0 * deviation + 1e-9
-    parts = (*recipe.noise, *recipe.lattices, *recipe.grains)
-    level = float(np.sqrt(sum(part.rms_m**2 for part in parts)))
-    assert abs(np.log(level / (mean.roughness_um * 1e-6))) <= 2.0 * DEFAULT_SCATTER.level + 1e-9
+    octave = compute_octave_height(recipe.noise[0], 1e-3)
+    assert abs(np.log(octave / (mean.constants.height_um * 1e-6))) <= 2.0 * DEFAULT_SCATTER.level + 1e-9
     height = height_map(recipe, seed, pixels=256)
     assert np.isfinite(height).all()
     assert height.std() > 0.0

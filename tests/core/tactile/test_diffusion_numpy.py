@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,10 +13,18 @@ from hypothesis import strategies as st
 from tactile_networks import SMALL, architecture, look, random_parameters, random_weights
 
 from hnf_core.errors import FileError, UsageError, WeightsError
-from hnf_core.tactile.diffusion import predict as module
+from hnf_core.progress import count_work
 from hnf_core.tactile.diffusion.conditioning import normalise_view
-from hnf_core.tactile.diffusion.predict import denoise, predict_slopes, predict_tactile_maps
-from hnf_core.tactile.diffusion.schedule import alpha_bars, ddim_step, noised, sampling_steps, velocity
+from hnf_core.tactile.diffusion.predict import (
+    alpha_bars,
+    ddim_step,
+    denoise,
+    noised,
+    predict_slopes,
+    predict_tactile_maps,
+    sampling_steps,
+    velocity,
+)
 from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, build_unet
 from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
 from hnf_core.tactile.optics import SENSORS, decode_gradients
@@ -122,18 +129,12 @@ def test_neighbours_and_order_do_not_matter(order, chosen, objective):
 
 def test_no_more_threads_than_this_process_may_use(monkeypatch):
     """A machine may have more cores: a batch's worker, or a container, is given some of them."""
-    sizes = []
-
-    class Pool(ThreadPoolExecutor):
-        def __init__(self, workers):
-            sizes.append(workers)
-            super().__init__(workers)
-
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 5}, raising=False)
-    monkeypatch.setattr(module, "ThreadPoolExecutor", Pool)
-    predict_tactile_maps(random_weights(objective=REGRESSION), [look(index) for index in range(3)], "digit", seed=0)
-    assert sizes == [2]
+    views = [look(index) for index in range(3)]
+    with count_work() as work:
+        predict_tactile_maps(random_weights(objective=REGRESSION), views, "digit", seed=0)
+    assert work.amounts["threads"] == [2]
 
 
 def silent(*layers: str):

@@ -98,6 +98,43 @@ def test_no_window_crosses_a_border(minute: list[Recording]) -> None:
     assert HOP * 2 == WINDOW_SAMPLES
 
 
+def test_reversed_windows_are_trained_ones_with_the_hand_turned(minute: list[Recording]) -> None:
+    """As if each recording were played backward; what validates and tests stays as it is."""
+    states, windows = cut_windows(minute[:3])
+    both, more = cut_windows(minute[:3], add_reversed=True)
+    count, trained = len(windows.role), np.flatnonzero(windows.role == TRAIN)
+    assert np.bincount(more.role).tolist() == [2 * len(trained), *np.bincount(windows.role)[1:]]
+    np.testing.assert_array_equal(more.power[count:], windows.power[trained])
+    np.testing.assert_array_equal(more.node[:count], windows.node)
+    before, after = windows.node[trained], more.node[count:][:, ::-1]
+    np.testing.assert_allclose(both.direction[after], -states.direction[before])
+    for name in ("speed", "force", "contact"):
+        np.testing.assert_array_equal(getattr(both, name)[after], getattr(states, name)[before])
+    # Its past is what came after, within the same recording.
+    for past in (1, 10):
+        earlier = more.node[count:] - past
+        alive = earlier >= more.first[more.node[count:]]
+        later = windows.node[trained][:, ::-1] + past
+        inside = later < len(states.speed)
+        same = inside & (windows.first[np.minimum(later, len(states.speed) - 1)] == windows.first[later - past])
+        np.testing.assert_array_equal(alive, same)
+        np.testing.assert_array_equal(both.speed[earlier][alive], states.speed[later[alive]])
+
+
+def test_augmenting_needs_a_direction_and_says_what_it_did(minute: list[Recording]) -> None:
+    small = TrainingOverrides(hidden=8, layers=1, epochs=1, augment=True)
+    with pytest.raises(UsageError, match="none was recorded"):
+        train_from_recordings(minute[:2], "own", "", 0, small)
+    known = [dataclasses.replace(each, known=frozenset({"speed", "direction"})) for each in minute[:2]]
+    trained, record = train_from_recordings(known, "own", "", 0, small)
+    assert "each training window backward too, in the opposite direction" in record["notes"]
+    assert "backward" in trained.field.metadata["training_data"]
+    plain, unchanged = train_from_recordings(known, "own", "", 0, dataclasses.replace(small, augment=None))
+    assert unchanged["notes"] == []
+    assert record["test"]["windows"] == unchanged["test"]["windows"]
+    assert not np.array_equal(plain.history, trained.history)
+
+
 def test_short_recordings_train_and_too_short_ones_are_refused(minute: list[Recording]) -> None:
     pieces = [noise_recording(make_steady_action(0.3, 0.1, 1.0), seed) for seed in range(10)]
     assert set(cut_windows(pieces)[1].role) == {0, 1, 2}

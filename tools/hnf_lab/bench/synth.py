@@ -32,7 +32,7 @@ from hnf_core.field.carriers import MODEL_RATE_HZ
 from hnf_core.field.field import Emission, Field, evaluate, get_network
 from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition
 from hnf_core.field.noise_cache import prefetch_noise
-from hnf_core.field.prepare import make_evaluate_at, prepare_sampled, prepare_stroke
+from hnf_core.field.prepare import follow_stroke, make_evaluate_at, prepare_sampled, prepare_stroke
 from hnf_core.field.render import render_contact, render_samples
 from hnf_core.field.stroke import StrokeInput, resample_action, sample_count
 from hnf_core.field.synthesis import render_stroke
@@ -108,7 +108,8 @@ def synthesise_every_sample(field: Field, stroke: StrokeInput, seed: int) -> Flo
     with prefetch_noise(field.config, seed, action):
         evaluate_at = make_evaluate_at(field, stroke, action, token_index)
         sampled = _sample_every(evaluate_at, sample_count(action))
-        prepared = prepare_sampled(field, stroke, seed, action, token_index, sampled)
+        course = follow_stroke(field, stroke, action, token_index, seed)
+        prepared = prepare_sampled(field, stroke, seed, action, token_index, sampled, course)
     return render_samples(prepared)
 
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from hnf_core.material.band_descriptor import describe
 from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, Token
 from hnf_core.tactile.diffusion.conditioning import build_condition, get_pitch_index, normalise_view
-from hnf_core.tactile.diffusion.predict import predict_tactile_maps
-from hnf_core.tactile.diffusion.schedule import log_snr
+from hnf_core.tactile.diffusion.predict import log_snr, predict_tactile_maps
 from hnf_core.tactile.diffusion.unet import UNet, build_unet, forward
 from hnf_core.tactile.diffusion.weights import MapWeights, load_map_weights
 from hnf_core.tactile.height import tactile_map_from_height

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hnf_blender import compat
 from hnf_blender.bridge.render.cycles import set_camera
-from hnf_blender.bridge.scene.suppress_output import suppress_output
+from hnf_blender.bridge.scene.temp_scene import suppress_output
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.rgbd_view import read_exr
 

@@ -211,7 +211,7 @@ def measure_touch(path: Path) -> Cost:
     """Measure `hnf touch` after path was opened. Raises HnfError if it fails."""
     import bpy
 
-    from hnf_blender.bridge.scene.suppress_output import suppress_output
+    from hnf_blender.bridge.scene.temp_scene import suppress_output
     from hnf_blender.touch.bake_plan import read_previous_run
     from hnf_blender.touch.run import run
 

@@ -133,7 +133,7 @@ def save_file(path: Path) -> None:
     """Save the open file."""
     import bpy
 
-    from hnf_blender.bridge.scene.suppress_output import suppress_output
+    from hnf_blender.bridge.scene.temp_scene import suppress_output
 
     bpy.context.view_layer.update()
     with suppress_output():

@@ -14,10 +14,18 @@ from hnf_core.errors import UsageError
 from hnf_core.progress import Progress, ProgressBar
 
 from .eval_alignment import add_parser as _add_alignment
+from .eval_photographs import add_parser as _add_photographs
+from .eval_published import add_parser as _add_published
 from .eval_recordings import add_parser as _add_recordings
 from .eval_tactile_map import add_parser as _add_tactile_map
 
-SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment, _add_recordings, _add_tactile_map)
+SUBJECTS: tuple[Callable[[Any], object], ...] = (
+    _add_alignment,
+    _add_photographs,
+    _add_published,
+    _add_recordings,
+    _add_tactile_map,
+)
 """Further subjects: each adds a parser with its own runner as the default of `run`."""
 
 

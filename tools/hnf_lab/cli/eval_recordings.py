@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +22,39 @@ def add_parser(subjects: Any) -> None:
         "compare spectra at nine speeds and forces; beside it the mean of the other textures, of its category and of "
         "its name. Takes some three minutes.",
     )
-    parser.add_argument("--hatt", type=Path, metavar="DIR", required=True, help="your copy of HaTT's texture models")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="also write recordings.md, .json and .png here")
+    add_judge_options(parser, "recordings", "texture models")
+    parser.set_defaults(run=run)
+
+
+def add_judge_options(parser: argparse.ArgumentParser, name: str, needed: str) -> None:
+    """Add the options of a judge by HaTT; needed: what of the data set it reads."""
+    parser.add_argument("--hatt", type=Path, metavar="DIR", required=True, help=f"your copy of HaTT's {needed}")
+    parser.add_argument("--out", type=Path, metavar="DIR", help=f"also write {name}.md, .json and .png here")
     parser.add_argument("--seconds", type=float, default=4.0, metavar="S", help="of each rendered stroke (default 4)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.set_defaults(run=run)
+
+
+def check_seconds(arguments: argparse.Namespace) -> None:
+    """Raise UsageError for an impossible duration of strokes."""
+    if not 0.5 <= arguments.seconds <= 600.0:
+        raise UsageError("--seconds must be 0.5 to 600.")
+
+
+def show_results(
+    arguments: argparse.Namespace, name: str, report: str, record: str, draw: Callable[[Path], None]
+) -> None:
+    """Print a report or its JSON, and write both and the picture where --out says."""
+    if arguments.out is not None:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        write_text(arguments.out / f"{name}.md", report + "\n")
+        write_text(arguments.out / f"{name}.json", record + "\n")
+        draw(arguments.out / f"{name}.png")
+    print(record if arguments.json else report)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Raises HnfError; returns the exit code."""
-    if not 0.5 <= arguments.seconds <= 600.0:
-        raise UsageError("--seconds must be 0.5 to 600.")
+    check_seconds(arguments)
     from ..evaluation.recordings.measure import measure_recordings
     from ..evaluation.recordings.report import format_recordings, to_json, write_picture
 
@@ -41,10 +64,5 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         bar.close()
     report, record = format_recordings(results, statistics), json.dumps(to_json(results, statistics), indent=1)
-    if arguments.out is not None:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        write_text(arguments.out / "recordings.md", report + "\n")
-        write_text(arguments.out / "recordings.json", record + "\n")
-        write_picture(arguments.out / "recordings.png", results)
-    print(record if arguments.json else report)
+    show_results(arguments, "recordings", report, record, lambda path: write_picture(path, results))
     return 0

@@ -426,14 +426,21 @@ def run_jobs(jobs: Sequence[EvaluationJob], workers: int, watch: Callable[[str],
 def _score_by_sensor(job: EvaluationJob, result: MaterialResult) -> dict[str, list[Cell]]:
     """Score the shared field with the tokens that E computes from each sensor's image of one height map."""
     material = get_material(job.name)
-    height = height_map(SurfaceRecipe.from_dict(material.recipe), material.seed)
-    pitch = TILE_SIZE_M / TILE_PIXELS
     references = result.references["window"]
     shared = select_entries(["shared"])[0].build(job.budget)
     assert isinstance(shared, SharedField)
     cells = {}
-    for sensor in SENSORS:
-        token = describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch, sensor)).values
+    for sensor, token in describe_sensor_tokens(job.name).items():
         fitted = shared.fit(MaterialRecordings(material.name, (), token, material.mechanics), job.seed)
         cells[sensor] = score_method(shared, fitted, references, job.sizes.renders, job.seed)
     return cells
+
+
+def describe_sensor_tokens(name: str) -> dict[str, NDArray[np.float32]]:
+    """Return the token that E computes from each sensor's image of one height map of a library material."""
+    material = get_material(name)
+    height = height_map(SurfaceRecipe.from_dict(material.recipe), material.seed)
+    pitch = TILE_SIZE_M / TILE_PIXELS
+    return {
+        sensor: describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch, sensor)).values for sensor in SENSORS
+    }

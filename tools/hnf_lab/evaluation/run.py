@@ -1,7 +1,7 @@
 """The complete evaluation: columns by kind of data, extra tables, plots, and notes on what was omitted.
 
 `run_evaluation` is the entry point. It evaluates materials in worker processes, adds the tables on held-out classes,
-photographs, sensors and directions, and writes eval.md, eval.json and plots.
+sensors and directions, and writes eval.md, eval.json and plots.
 """
 
 from __future__ import annotations
@@ -17,16 +17,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
+from hnf_core.action.synthetic_actions import make_random_smooth_action
 from hnf_core.datasets.recording import DataSet
 from hnf_core.datasets.registry import open_dataset
 from hnf_core.datasets.simulated import SimulatedLibrary
-from hnf_core.errors import MaterialError
 from hnf_core.field.field import Field
 from hnf_core.field.weights import HELD_OUT_WEIGHTS, load_field
 from hnf_core.files import write_text
 
-from .held_out import find_held_out_names, load_textures, make_held_out_table, make_photo_table, measure_known_material
+from .held_out import find_held_out_names, make_held_out_table, measure_known_material
 from .materials import DirectionSpectra, EvaluationJob, EvaluationSizes, JobResult, make_column, run_jobs
 from .methods import Budget, select_entries
 from .plots import plot_directions, plot_spectra
@@ -93,8 +92,6 @@ HATT_MATERIALS = ("ABS Plastic", "Brick 1", "Cork")
 QUICK_SIZES = EvaluationSizes(2.0, 8, 1, 20.0, 1, 1, 3, 6)
 HELD_OUT_DRAWS, KNOWN_DRAWS = 12, 2
 """Realisations behind a long-run spectrum in table (c): 48 s for a held-out class, 8 s for a known one."""
-PHOTO_STROKE = (0.1, 1.0)
-"""Speed [m/s] and force [N] of the strokes on photographed textures."""
 
 
 @dataclass(frozen=True)
@@ -166,10 +163,6 @@ def run_evaluation(options: EvaluationOptions, watch: Callable[[str], None] = la
         extras += [held_out_table] if isinstance(held_out_table, ExtraTable) else []
     if hatt is None:
         notes.append("(d) HaTT: no folder was given (--hatt DIR).")
-    else:
-        with _Timer(timings, "photographs"):
-            watch("photographs")
-            extras.append(_make_photo_table(hatt, field, options))
     settings = {**asdict(options.sizes), "seed": options.seed, "field": field.identity,
                 "methods": " ".join(entry.key for entry in entries)}  # fmt: skip
     report = Report(settings, tuple(columns), tuple(extras), tuple(notes), timings)
@@ -276,15 +269,6 @@ def _make_held_out_table(options: EvaluationOptions, field: Field | None) -> Ext
             [future.result() for future in known_futures],
             options.seed,
         )
-
-
-def _make_photo_table(hatt: DataSet, field: Field, options: EvaluationOptions) -> ExtraTable:
-    known = load_textures(hatt, make_steady_action(options.sizes.seconds, *PHOTO_STROKE), 8, options.seed)
-    if len(known) < 3:
-        raise MaterialError(
-            f"{len(known)} textures with a photograph.", where=str(options.hatt), remedy="Give the toolkit's folder."
-        )
-    return make_photo_table(field, known, make_steady_action(1.0, *PHOTO_STROKE))
 
 
 def _collect_names(columns: Sequence[Column]) -> dict[str, str]:

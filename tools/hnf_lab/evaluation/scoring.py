@@ -70,15 +70,17 @@ class Trial:
 def make_training_actions(
     training_strokes: TrainingStrokes, limits: ActionRange, seconds: float, seed: int
 ) -> list[Action]:
-    """Make about `seconds` of training strokes within the limits, at least one. Deterministic for a seed."""
+    """Make about `seconds` of training strokes within the limits, at least one; HNF+ adds primitives of half as long.
+
+    Deterministic for a seed.
+    """
     if training_strokes == "wandering":
         count = max(1, round(seconds / STROKE_S))
         return [_make_wandering(limits, min(seconds, STROKE_S), 10_000 + 100 * seed + index) for index in range(count)]
-    circles = seconds if training_strokes == "circular" else 0.5 * seconds
-    actions = _make_circles(limits, circles, seed)
+    actions = _make_circles(limits, seconds, seed)
     if training_strokes == "circular and primitives":
         primitive_actions = [make_primitive_action(name, seed=seed) for name in PRIMITIVE_NAMES]
-        repeats = max(1, round((seconds - circles) / sum(action.duration_s for action in primitive_actions)))
+        repeats = max(1, round(0.5 * seconds / sum(action.duration_s for action in primitive_actions)))
         actions += [
             make_primitive_action(name, seed=1000 * seed + repeat)
             for repeat in range(repeats)

@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
 from hnf_core.actuators.limiter import Limiter
 from hnf_core.actuators.profile import GENERIC
+from hnf_core.field.contact.lattice_lines import LINE_GAIN_COUNT, compute_line_power
 from hnf_core.field.features import Inputs, build_inputs
 from hnf_core.field.field import LOG_AMPLITUDE_CEILING, Emission, Field, accumulate
-from hnf_core.field.linear_contact import LINE_GAIN_COUNT, Condition, compute_line_power
+from hnf_core.field.linear_contact import Condition
 from hnf_core.field.prepare import prepare_stroke
 from hnf_core.field.render import render_block
 from hnf_core.field.render_weights import render, render_weights
@@ -38,7 +39,7 @@ from hnf_core.field.weights import load_field
 from hnf_core.material.band_descriptor import describe
 from hnf_core.material.contact_model import Mechanics, height_response
 from hnf_core.material.library import load_library
-from hnf_core.material.probe import PROBES
+from hnf_core.material.probe import get_probe
 from hnf_core.material.token import LEVELS
 from hnf_core.metrics.spectra import welch
 from hnf_core.scene.mesh import TriangleMesh
@@ -245,7 +246,7 @@ def measure_contact_error(dtype: torch.dtype) -> str:
     worst = 0.0
     for value in stiffness:
         exact, found = (
-            height_response(f[:, None], Mechanics(k, z, 0.3), PROBES["pen"], n[None])
+            height_response(f[:, None], Mechanics(k, z, 0.3), get_probe("pen"), n[None])
             for f, k, z, n in (
                 (frequency, value, 0.15, force),
                 (

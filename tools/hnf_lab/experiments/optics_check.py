@@ -30,11 +30,12 @@ from numpy.typing import NDArray
 
 from hnf_core.datasets.ball_calibration import (
     BALL_RADIUS_M,
-    PIXEL_PITCH_M,
+    BallPixels,
     BallPresses,
-    PolynomialTable,
+    compute_offsets_px,
+    find_contact_radius_px,
     read_ball_presses,
-    read_polynomial_table,
+    select_pixels_under,
 )
 from hnf_core.datasets.data_files import find_files
 from hnf_core.errors import (
@@ -43,20 +44,19 @@ from hnf_core.errors import (
 )
 from hnf_core.export.plots.figure import write_figure
 from hnf_core.tactile.optics import SENSORS, Sensor
+from hnf_core.tactile.photometric_stereo import SATURATION_VALUE
 from hnf_core.units import linear_to_srgb, srgb_to_linear
 
 from . import optics_models
 from .optics_models import (
-    SATURATION_VALUE,
-    BallPixels,
+    PIXEL_PITCH_M,
     Form,
     LinearOptics,
-    compute_offsets_px,
-    find_contact_radius_px,
+    PolynomialTable,
     fit_linear_optics,
     make_sensor,
     mount_sensor,
-    select_pixels_under,
+    read_polynomial_table,
 )
 
 if TYPE_CHECKING:

@@ -1,85 +1,29 @@
 """Optics models fitted to ball presses: the project's linear model, and Taxim's polynomial table.
 
-A ball of known size pressed on a touch sensor gives the true normal of every pixel under it (W. Yuan, S. Dong & E.
-Adelson 2017, "GelSight: high-resolution robot tactile sensors", Sensors 17(12)). Frame as in hnf_core.tactile.optics:
-column → +x, row → −y. The polynomial table (Si & Yuan 2022, section III-B) is applied, inverted and fitted.
+Frame as in hnf_core.tactile.optics: column → +x, row → −y. The polynomial table (Si & Yuan 2022, section III-B) is
+read, applied, inverted and fitted. polycalib.npz: bins, grad_r, grad_g, grad_b (bins, bins, 6), in the order blue,
+green, red despite their names.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.datasets.ball_calibration import BallPresses, PolynomialTable
-from hnf_core.errors import UsageError
+from hnf_core.datasets.ball_calibration import REMEDY, BallPixels, read_npz_arrays
+from hnf_core.errors import FileError, UsageError
 from hnf_core.tactile.optics import SENSORS, Sensor, decode_gradients, shade
+from hnf_core.tactile.photometric_stereo import SATURATION_VALUE
 
 Float = NDArray[np.float64]
 Form = Literal["frame", "difference", "ratio"]
 
-SATURATION_VALUE = 250.0 / 255.0
-"""Code value above which pixels are clipped and not used."""
-
-
-@dataclass(frozen=True, eq=False)
-class BallPixels:
-    """The m pixels under balls: unit normals (m, 3), colours (m, 3), positions (m,) and press numbers (m,)."""
-
-    normal: Float
-    colour: Float
-    background: Float
-    column: Float
-    row: Float
-    press: NDArray[np.int64]
-
-    def select(self, wanted: NDArray[np.bool_]) -> BallPixels:
-        return BallPixels(*(getattr(self, name)[wanted] for name in self.__dataclass_fields__))
-
-    @property
-    def tilt(self) -> Float:
-        """Angle between normal and gel, (m,) [rad]."""
-        return np.asarray(np.arccos(np.clip(self.normal[:, 2], -1.0, 1.0)))
-
-
-def find_contact_radius_px(presses: BallPresses) -> float:
-    """Return the radius [pixels] at which frames differ most from the background.
-
-    The difference is averaged over presses and directions. Under a ball the slope grows outwards; beyond the contact's
-    edge the membrane leaves the ball and flattens.
-    """
-    change = np.abs(presses.frames - presses.background).mean(axis=-1)
-    distance = np.hypot(*compute_offsets_px(presses))
-    rings = [change[(distance >= r - 0.5) & (distance < r + 0.5)] for r in range(1, int(presses.ball_radius_px) + 1)]
-    return 1.0 + float(np.argmax([ring.mean() if ring.size else 0.0 for ring in rings]))
-
-
-def select_pixels_under(presses: BallPresses, radius_px: float) -> BallPixels:
-    """Select pixels less than radius_px from a ball's centre. Raises UsageError if the ball is smaller."""
-    if not 0.0 < radius_px < presses.ball_radius_px:
-        raise UsageError(f"{radius_px:g} pixels are no part of a ball of {presses.ball_radius_px:g}.")
-    x, y = compute_offsets_px(presses)
-    press, row, column = np.nonzero(np.hypot(x, y) < radius_px)
-    flat = np.stack([x[press, row, column], y[press, row, column]], axis=1) / presses.ball_radius_px
-    return BallPixels(
-        normal=np.concatenate([flat, np.sqrt(1.0 - np.sum(flat**2, axis=1, keepdims=True))], axis=1),
-        colour=presses.frames[press, row, column],
-        background=presses.background[row, column],
-        column=column.astype(np.float64),
-        row=row.astype(np.float64),
-        press=press,
-    )
-
-
-def compute_offsets_px(presses: BallPresses) -> tuple[Float, Float]:
-    """Return the offsets of all pixels to the right of and above a ball's centre, (n, H, W) each."""
-    rows, columns = presses.background.shape[:2]
-    x = np.arange(columns)[None, None, :] - presses.centre_px[:, 0, None, None]
-    y = presses.centre_px[:, 1, None, None] - np.arange(rows)[None, :, None]
-    full_x, full_y = np.broadcast_arrays(x, y)
-    return full_x, full_y
+PIXEL_PITCH_M = {"objectfolder": 0.1245e-3, "taxim": 0.0295e-3}
+"""Pixel pitch by data set [m]."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +114,35 @@ def _to_frame(light: Float, background: Float, form: Form) -> Float:
 
 
 ROWS_PER_CHUNK = 256
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialTable:
+    """Taxim's optics: change of colour against the background by the membrane's normal, as polynomials of the position.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (bins, bins, 3, 6)
+        By the normal's tilt (0 to π/2) and direction (−π to π), for red, green, blue: coefficients of x², y², xy, x, y
+        and 1 [pixels], in code values / 255.
+    """
+
+    coefficients: Float
+
+
+def read_polynomial_table(path: Path) -> PolynomialTable:
+    """Read the colour table from a polycalib.npz, without pickle; raise FileError if it cannot be used."""
+    names = ("grad_r", "grad_g", "grad_b")
+    channels = list(read_npz_arrays(path, names).values())
+    shape = channels[0].shape
+    if len(shape) != 3 or shape[0] != shape[1] or shape[2] != 6 or any(channel.shape != shape for channel in channels):
+        raise FileError(
+            f"{', '.join(names)} are {[channel.shape for channel in channels]}.", where=str(path), remedy=REMEDY
+        )
+    values = np.stack(channels[::-1], axis=2).astype(np.float64)
+    if not np.isfinite(values).all():
+        raise FileError("a coefficient is not finite.", where=str(path), remedy=REMEDY)
+    return PolynomialTable(values / 255.0)
 
 
 def predict_polynomial(table: PolynomialTable, pixels: BallPixels) -> Float:

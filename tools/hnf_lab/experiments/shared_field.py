@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from hnf_core.field.features import normalise_tokens
 from hnf_core.field.field import FieldConfig
-from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field
+from hnf_core.field.weights import DEFAULT_WEIGHTS, HELD_OUT_WEIGHTS, load_field
 from hnf_core.simulation.material_classes import get_category, list_classes
 from hnf_core.training.fit import Schedule, build_training_set, fit_network
 from hnf_core.training.model import FieldNetwork
@@ -51,7 +51,7 @@ from hnf_core.training.train_shared import (
     load_or_build_training_data,
     load_or_simulate_references,
 )
-from hnf_core.training.training_data import Sizes, TrainingData, build_training_data, load_specimens, select_classes
+from hnf_core.training.training_data import Sizes, TrainingData, build_training_data, load_specimens
 from hnf_lab import ROOT
 from hnf_lab.bootstrap import Interval, bootstrap_mean
 
@@ -262,11 +262,17 @@ def format_page(
     context: Any, results: dict[str, dict[str, Any]], hidden: int, size: Callable[[FieldConfig], int]
 ) -> str:
     names = context.gathered.names
-    parts = [_format_head(context), _format_gap(results["own"], context, hidden), _format_long(results["long"],
-    results["own"], names),
-             _format_storage(results["own"], context, hidden),
-             _format_curve(results["curve"], results["own"], context, size), _format_direction(results["direction"]),
-             _format_unseen(results["unseen"])]  # fmt: skip
+    parts = [_format_head(context)]
+    if "own" in results:
+        parts += [_format_gap(results["own"], context, hidden), _format_storage(results["own"], context, hidden)]
+    if "own" in results and "long" in results:
+        parts.append(_format_long(results["long"], results["own"], names))
+    if "own" in results and "curve" in results:
+        parts.append(_format_curve(results["curve"], results["own"], context, size))
+    if "direction" in results:
+        parts.append(_format_direction(results["direction"]))
+    if "unseen" in results:
+        parts.append(_format_unseen(results["unseen"]))
     return "\n\n".join([*parts, TESTED_SECTION])
 
 
@@ -428,10 +434,14 @@ loudest direction, field against simulator, RMS over the other seven: per 10 Hz 
 (medians {middle["power_db"]:.2f}, {middle["third_db"]:.2f}, {middle["ratio_db"]:.2f} dB). Bar (per bin): \
 **{_format_result(len(strong) >= 5 and met["ratio_db"] == len(strong))}**.
 
-Surfaces of noise are close; lattices are not. A token keeps one tone per octave and how its power divides between a
-direction and the one across it, so that a ribbed surface gets faint tones across its ribs, which the simulator's has
-not (ribbed plastic), and a weave with two tones in one octave loses the weaker (silk, carbon fibre). The field turns
-such tones up and down, but puts none where the token has none."""
+Surfaces of noise are close, lattices less so. A token keeps one pitch per octave and how its power divides between a
+direction and the one across it, so a weave with two pitches in one octave loses the weaker. Ribs have no lines across
+them (`lattice_lines.compute_line_shares`); what is left there is the noise of their octave, which the simulator's
+ribs, being even, do not have.
+
+Tried for directions: an output of its own for each line (of the five strongest of 43 classes 2 within 1 dB per bin);
+no line across ribs in the linear contact, and weak lines at their own pitch, the field retrained (of the same five
+3; oak is off by 1.02)."""
 
 
 def _format_unseen(unseen: dict[str, Any]) -> str:
@@ -598,11 +608,10 @@ def measure_direction(context: EvaluationContext) -> dict[str, Any]:
 
 
 def measure_unseen_classes(context: EvaluationContext) -> dict[str, Any]:
-    """Train a field without the held-out classes and measure it on them."""
+    """Measure the shipped field that was trained without the held-out classes on them."""
     training_classes = [name for name in list_classes() if name not in HELD_OUT]
-    network = fit_shared_field(
-        select_classes(context.gathered, training_classes), context.plan, SHARED_CONFIG, context.seed
-    )
+    held_out = load_field(HELD_OUT_WEIGHTS)
+    network = FieldNetwork(held_out.config, held_out.parameters)
     categories = {name: get_category(name) for name in list_classes()}
     rows = measure_unseen_materials(network, context.references, HELD_OUT, categories)
     known = [m for m, each in enumerate(context.specimens) if each.class_name in training_classes]
@@ -642,11 +651,11 @@ def main() -> int:
         print(f"{part}: {time.monotonic() - start:.0f} s", file=sys.stderr)
     files = {part: arguments.cache / f"{part}.json" for part in SECTIONS}
     results = {part: json.loads(file.read_text(encoding="utf-8")) for part, file in files.items() if file.exists()}
-    stale = [part for part in SECTIONS if results.get(part, {}).get("weights") != identity]
-    if stale:
-        print(f"not measured with these weights: {stale}; run these parts too.", file=sys.stderr)
-        return 1
-    print(make_page(context, results))
+    fresh = {part: result for part, result in results.items() if result["weights"] == identity}
+    left_out = [part for part in SECTIONS if part not in fresh]
+    if left_out:
+        print(f"not measured with these weights, so left out: {', '.join(left_out)}.", file=sys.stderr)
+    print(make_page(context, fresh))
     return 0
 
 

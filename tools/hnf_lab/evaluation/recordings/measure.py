@@ -26,6 +26,7 @@ from hnf_core.field.field import Field
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import Appearance, LibraryMaterial, get_material, load_library
 from hnf_core.material.ranking import find_material, rank
 from hnf_core.metrics.spectra import welch
@@ -207,12 +208,18 @@ def make_steady_action(speed: float, force: float, direction_rad: float, seconds
     )
 
 
-def render_density(field: Field, material: LibraryMaterial, condition: tuple[float, float], seconds: float) -> Float:
-    """Render a material at (speed, force) in four directions; return the mean power density (FINE_HZ,)."""
+def render_density(
+    field: Field,
+    token: NDArray[np.float32],
+    mechanics: Mechanics,
+    condition: tuple[float, float],
+    seconds: float,
+) -> Float:
+    """Render a token (TOKEN_DIM,) at (speed, force) in four directions; return the mean power density (FINE_HZ,)."""
     densities = []
     for seed, direction in enumerate(DIRECTIONS_RAD):
         action = make_steady_action(*condition, float(direction), seconds + SETTLE_S)
-        stroke = uniform_stroke(action, material.token, material.mechanics)
+        stroke = uniform_stroke(action, token, mechanics)
         signal = synthesise(field, stroke, seed=seed).signal
         steady = signal.samples[round(SETTLE_S * signal.sample_rate) :].astype(np.float64)
         frequency, density = welch(steady, signal.sample_rate, round(WINDOW_S * signal.sample_rate))
@@ -327,7 +334,9 @@ def measure_recordings(
     rendered, statistics = {}, []
     for done, (name, material) in enumerate(sorted(materials.items())):
         progress(Progress(name, done, len(materials)))
-        rendered[name] = np.stack([render_density(field, material, condition, seconds) for condition in CONDITIONS])
+        rendered[name] = np.stack(
+            [render_density(field, material.token, material.mechanics, condition, seconds) for condition in CONDITIONS]
+        )
         statistics.append(measure_statistics(field, material, min(seconds, MAX_SIMULATED_S)))
     results = [
         compare_texture(texture, textures, material.name, reason, rendered[material.name])

@@ -59,14 +59,14 @@ def test_a_bake_is_told_with_its_error_in_every_way():
     assert fine.error is None
     rows = {row.method: row for row in ways}
     image = "an image of 0.5 mm texels, "
-    pattern = {"cold, 64 pixels", "cold, 128 pixels", "close-ups kept", "nothing changed"}
-    assert rows.keys() == pattern | {f"{image}fine", f"{image}128 pixels at once", f"{image}a first look of 32"}
-    usual = rows["cold, 128 pixels"]
-    assert rows["cold, 64 pixels"].error > usual.error
+    pattern = {"cold, 128 pixels", "cold, 256 pixels", "close-ups kept", "nothing changed"}
+    assert rows.keys() == pattern | {f"{image}fine", f"{image}256 pixels at once", f"{image}a first look of 32"}
+    usual = rows["cold, 256 pixels"]
+    assert rows["cold, 128 pixels"].error > usual.error
     assert rows["close-ups kept"].error == rows["nothing changed"].error == usual.error < -10.0
     assert usual.ratio is None
     assert rows["close-ups kept"].ratio_to == rows["nothing changed"].ratio_to == usual.method
-    assert rows[f"{image}a first look of 32"].ratio_to == f"{image}128 pixels at once"
+    assert rows[f"{image}a first look of 32"].ratio_to == f"{image}256 pixels at once"
     assert rows[f"{image}a first look of 32"].error < -30.0
     assert my_folders() == []
 

@@ -82,7 +82,7 @@ def test_equal_tokens_have_equal_signals_and_raised_ones_do_not():
     def louder(each: SurfaceSample) -> Token:
         token = truth(each)
         values = token.values.copy()
-        values[LEVELS] += 0.3
+        values[LEVELS] += 0.6
         return Token(values, token.known)
 
     assert compute_signal_distances_db(field, action, PIECES[:1], truth, truth).tolist() == [0.0]

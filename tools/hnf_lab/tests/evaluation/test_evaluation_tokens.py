@@ -1,33 +1,24 @@
-"""Stand-in tokens for unknown surfaces: category means, nearest tokens, and photographs as height."""
+"""Stand-ins for unknown surfaces: category means and nearest tokens."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from hnf_core.action.synthetic_actions import make_steady_action
-from hnf_core.errors import FileError
 from hnf_core.field.weights import HELD_OUT_WEIGHTS, load_field
 from hnf_core.material.library import load_library
-from hnf_core.material.token import BAND_FEATURES, LEVELS, SMOOTH_LEVEL
 from hnf_lab.bootstrap import bootstrap_mean
 from hnf_lab.evaluation.held_out import (
     KnownMaterial,
     compute_category_mean,
     compute_distance_db,
-    describe_photo,
-    find_category,
     find_held_out_names,
     find_nearest_token,
-    fit_height_decades,
     make_held_out_table,
-    make_photo_table,
     predict_spectrum,
-    scale_token,
 )
 
 ACTION = make_steady_action(0.3, 0.1, 1.0)
@@ -84,56 +75,6 @@ def test_held_out_classes_are_those_that_the_weights_name() -> None:
     assert find_held_out_names(told, ["brass", "cork", "slate"]) == ("cork", "slate")
     assert find_held_out_names(replace(field, metadata={}), ["cork"]) == ()
     assert find_held_out_names(replace(field, metadata={"held_out": "not json"}), ["cork"]) == ()
-
-
-def photo(path: Path, pitch_mm: float) -> Path:
-    matplotlib_image = pytest.importorskip("matplotlib.image")
-    x = np.arange(600) / 15.0
-    grey = np.broadcast_to(0.5 + 0.3 * np.sin(2.0 * np.pi * x / pitch_mm), (600, 600))
-    matplotlib_image.imsave(path, np.repeat(grey[:, :, None], 3, axis=2))
-    return path
-
-
-def test_stripes_in_a_photograph_are_a_grating_in_the_token(tmp_path: Path) -> None:
-    token = describe_photo(photo(tmp_path / "stripes.png", 1.0))
-    levels: NDArray[np.float32] = token[LEVELS]
-    band = int(np.argmax(levels))
-    assert band == 3  # 1 mm
-    features = dict(zip(BAND_FEATURES, token[band * len(BAND_FEATURES) :], strict=False))
-    assert features["cos2"] == pytest.approx(1.0, abs=0.05)
-    assert 10.0 ** features["level"] == pytest.approx(0.3 / np.sqrt(2.0) * 1e-5, rel=0.1)
-
-
-def test_scaling_shifts_levels_and_extrapolates_unresolved_bands(tmp_path: Path) -> None:
-    token = np.zeros(51, dtype=np.float32)
-    token[LEVELS] = [-6.0, -6.2, -6.4, -6.6, -6.8, SMOOTH_LEVEL, SMOOTH_LEVEL]
-    np.testing.assert_allclose(scale_token(token, 0.5)[LEVELS], [-5.5, -5.7, -5.9, -6.1, -6.3, -6.5, -6.7], atol=1e-5)
-    assert scale_token(token, -9.0)[LEVELS].min() == SMOOTH_LEVEL
-    assert token[LEVELS][-1] == SMOOTH_LEVEL
-
-
-def test_one_factor_is_found_and_left_out(tmp_path: Path) -> None:
-    """Truth = the field's own answer at one known factor: what leave-one-out must find again."""
-    field, decades = load_field(), -1.3
-    everyone = []
-    for name, pitch in (("Wood", 2.0), ("Cork", 1.0), ("Denim", 0.7)):
-        one = KnownMaterial(name, find_category(name), describe_photo(photo(tmp_path / f"{name}.png", pitch)),
-                    known("oak-wood", "").mechanics, FLAT)  # fmt: skip
-        truth = predict_spectrum(field, replace(one, token=scale_token(one.token, decades)), ACTION)
-        everyone.append(replace(one, density=np.concatenate([[0.0], truth, np.zeros(400)])))
-    assert [fit_height_decades(field, one, ACTION) for one in everyone] == pytest.approx([decades] * 3, abs=0.03)
-    found = make_photo_table(field, everyone, ACTION).figures
-    assert found["medians_db"]["photo_token_field_db"] < 0.6
-    assert found["medians_db"]["nearest_photo_db"] > found["medians_db"]["photo_token_field_db"]
-
-
-def test_names_have_categories_and_bad_pictures_a_message(tmp_path: Path) -> None:
-    assert [find_category(name) for name in ("Sandpaper 100", "ABS Plastic", "Terra Cotta", "EPDM Foam", "Zzz")] == [
-        "paper", "plastic", "stone", "foam", "",
-    ]  # fmt: skip
-    (tmp_path / "broken.jpg").write_bytes(b"no picture")
-    with pytest.raises(FileError, match="picture"):
-        describe_photo(tmp_path / "broken.jpg")
 
 
 def test_held_out_weights_list_materials_of_every_category() -> None:

@@ -140,7 +140,7 @@ def test_the_command_writes_report_figures_and_picture(tmp_path, capsys):
     for entry in record["textures"]:
         assert entry["distance_db"] >= max(entry["shape_db"], 0.0)
     assert (out / "recordings.png").stat().st_size > 10_000
-    assert {entry["material"] for entry in record["statistics"]} >= {"denim", "soft-foam"}
+    assert {entry["material"] for entry in record["statistics"]} >= {"denim", "eva-foam"}
 
 
 def test_a_folder_without_models_is_refused(tmp_path):

@@ -14,11 +14,10 @@ from hypothesis import strategies as st
 
 from hnf_core.datasets.ball_calibration import (
     BALL_RADIUS_M,
-    PIXEL_PITCH_M,
     BallPresses,
-    PolynomialTable,
+    find_contact_radius_px,
     read_ball_presses,
-    read_polynomial_table,
+    select_pixels_under,
 )
 from hnf_core.errors import FileError, UsageError
 from hnf_core.tactile.optics import SENSORS, Sensor, shade
@@ -34,11 +33,12 @@ from hnf_lab.experiments.optics_check import (
     plot_response,
 )
 from hnf_lab.experiments.optics_models import (
-    find_contact_radius_px,
+    PIXEL_PITCH_M,
+    PolynomialTable,
     fit_linear_optics,
     make_sensor,
     mount_sensor,
-    select_pixels_under,
+    read_polynomial_table,
 )
 
 CALIBRATIONS = ROOT.parent / "shared" / "data" / "tactile_calibration"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hnf_core.material.contact_model import resonance_hz
+from hnf_core.simulation.contact_dynamics import STATIC_OVER_KINETIC
 from hnf_lab.experiments.simulator import (
     PEN,
     WOOD_MECHANICS,
@@ -20,12 +21,14 @@ from hnf_lab.experiments.simulator import (
     simulate_slow_pull,
 )
 
-SPEEDS = (1e-3, 2e-3, 0.05)
+SPEEDS = (0.5e-3, 1e-3, 4e-3, 0.05)
+"""Speeds of the pull [m/s]; stick–slip of the pen on wood ends at 1.9 mm/s."""
+SECONDS = 12.0
 
 
 @pytest.fixture(scope="module")
 def pulled() -> dict[float, np.ndarray]:
-    return dict(zip(SPEEDS, simulate_slow_pull(SPEEDS, "lugre", 2.0), strict=True))
+    return dict(zip(SPEEDS, simulate_slow_pull(SPEEDS, "lugre", SECONDS), strict=True))
 
 
 def test_a_wider_tip_hears_fewer_short_waves():
@@ -34,15 +37,18 @@ def test_a_wider_tip_hears_fewer_short_waves():
 
 
 def test_only_lugre_sticks_and_only_slowly(pulled):
-    assert compute_stuck_share(pulled[2e-3], 2e-3) > 0.5
-    assert compute_stuck_share(simulate_slow_pull([2e-3], "coulomb", 0.4)[0], 2e-3) == 0.0
-    assert compute_stuck_share(pulled[0.05], 0.05) == 0.0
+    assert compute_stuck_share(pulled[1e-3], 1e-3) > 0.5
+    assert compute_stuck_share(simulate_slow_pull([1e-3], "coulomb", 0.4)[0], 1e-3) == 0.0
+    for speed in (4e-3, 0.05):
+        assert compute_stuck_share(pulled[speed], speed) == 0.0
 
 
 def test_slips_come_as_often_as_the_spring_is_wound_up(pulled):
-    slow, fast = (count_slips_per_second(pulled[v], v) for v in (1e-3, 2e-3))
-    assert slow > 0.0
-    assert fast / slow == pytest.approx(2.0, rel=0.2)
+    """A hand damped far above critical unwinds its spring by ΔF / k, without overshoot: v k / ΔF slips a second."""
+    drop = (STATIC_OVER_KINETIC - 1.0) * WOOD_MECHANICS.friction
+    for speed in (0.5e-3, 1e-3):
+        expected = speed * PEN.hand_stiffness_n_m / drop
+        assert count_slips_per_second(pulled[speed], speed) == pytest.approx(expected, rel=0.2)
 
 
 def test_bristles_keep_the_level_far_above_the_stribeck_speed():

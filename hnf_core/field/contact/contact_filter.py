@@ -1,8 +1,9 @@
-"""Linear contact as a filter in time: height of the surface under the path, or pressing force, in; acceleration out.
+"""Linear contact as a filter in time: pressing force in, acceleration out.
 
 The contact's stiffness depends on material and load, which change slowly. A small bank of impulse responses, one per
 material and half octave of force, is therefore cross-faded at the action rate (200 Hz). The loads of the bank are the
-same for every stroke, so that pressing harder at one point changes nothing elsewhere.
+same for every stroke, so that pressing harder at one point changes nothing elsewhere. Where the force changes fast, the
+whole contact takes its place (`taps`).
 """
 
 from __future__ import annotations
@@ -15,13 +16,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from ..kernel.compiled_carriers import StateResponses
-from ..kernel.loader import load_kernel
-from ..material.contact_model import Mechanics, force_response, height_response
-from ..material.probe import PROBES, Probe
-from .carrier_rendering import find_states_read, interpolate_amplitudes
-from .carriers import MODEL_RATE_HZ
-from .stroke import SAMPLES_PER_STATE, STATE_FRACTIONS, evaluate_bspline
+from ...kernel.compiled_carriers import StateResponses
+from ...kernel.loader import load_kernel
+from ...material.contact_model import Mechanics, force_response
+from ...material.probe import Probe, get_probe
+from ..carriers import MODEL_RATE_HZ
+from ..stroke import SAMPLES_PER_STATE, STATE_FRACTIONS, evaluate_bspline
 
 Float = NDArray[np.float64]
 Response = Callable[[ArrayLike, Mechanics, Probe, ArrayLike], NDArray[np.complex128]]
@@ -64,22 +64,6 @@ class FilterBank:
 
     contacts: tuple[LoadedContact, ...]
     weights: Float
-
-    def render_height(self, height: Float, start: int) -> Float:
-        """Compute the acceleration (count,) [m/s²] that a surface height under the moving hand causes.
-
-        height: (TAIL_SAMPLES + count + LEAD_SAMPLES,) [m] at 10 kHz, from TAIL_SAMPLES before sample `start` on.
-        """
-        count = len(height) - LEAD_SAMPLES - TAIL_SAMPLES
-        # A period as long as the signal suffices, because only samples before `start` wrap around.
-        size = 1 << (len(height) - 1).bit_length()
-        used = self._find_active(find_states_read(len(self.weights), start, count))
-        kernels = np.stack([compute_impulse_response(height_response, *self.contacts[contact]) for contact in used])
-        full = np.fft.irfft(np.fft.rfft(height, size) * np.fft.rfft(kernels, size), size)
-        fades = interpolate_amplitudes(self.weights[:, used], start, count)
-        return np.asarray(
-            np.einsum("tb,bt->t", fades, full[:, TAIL_SAMPLES + LEAD_SAMPLES : TAIL_SAMPLES + LEAD_SAMPLES + count])
-        )
 
     def render_force(self, force: Float, start: int, count: int) -> Float:
         """Compute the acceleration (count,) [m/s²] that the pressing force (n,) [N] causes, from sample `start` on.
@@ -162,7 +146,9 @@ def build_filter_bank(
         load_weights[row, low - first + 1] = load_position[in_contact] - low
         load_weights[row, low - first] = 1.0 - load_weights[row, low - first + 1]
         used = np.flatnonzero(load_weights.any(axis=0))
-        contacts += [(touched, PROBES[probe], floor * 2.0 ** (float(first + step) / LOADS_PER_OCTAVE)) for step in used]
+        contacts += [
+            (touched, get_probe(probe), floor * 2.0 ** (float(first + step) / LOADS_PER_OCTAVE)) for step in used
+        ]
         weights.append(load_weights[:, used])
     return FilterBank(tuple(contacts), np.concatenate(weights, axis=1))
 

@@ -1,0 +1,1 @@
+"""Blinded two-alternative studies: plan, trials on an actuator or in a browser, responses, evaluation."""
