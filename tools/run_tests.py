@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -29,6 +30,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "build" / "test"
 WORKERS = 2
 PRINTED_LINES = 80
+RUNNER = re.compile(r"[/\\](_pytest|pytest|pluggy)[/\\]|<frozen|pytest_in_bpy")
 STOPPING = threading.Event()
 RUNNING: set[subprocess.Popen[bytes]] = set()
 
@@ -150,7 +152,21 @@ def run(check: Check) -> tuple[list[Case], str]:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
-    return collect_cases(check, code, ending, xml_path), log_path.read_text(encoding="utf-8", errors="replace")
+    text = log_path.read_text(encoding="utf-8", errors="replace")
+    return collect_cases(check, code, ending + describe_crash(text), xml_path), text
+
+
+def describe_crash(log: str) -> str:
+    """Return where Python's fault handler saw the process crash, as `, Segmentation fault in FILE:LINE NAME < …`.
+
+    The frames are those of the thread that crashed, innermost first, outside of pytest; nothing where none crashed.
+    """
+    crash = re.search(r"Fatal Python error: (.+)\n(?:.*\n)*?(?:Current t|T)hread .*\n((?: +File .*\n?)*)", log)
+    if not crash:
+        return ""
+    frames = re.findall(r'File "([^"]+)", line (\d+) in (\S+)', crash[2])
+    ours = [f"{Path(file).name}:{line} {name}" for file, line, name in frames if not RUNNER.search(file)]
+    return f", {crash[1]} in " + (" < ".join(ours[:6]) or "no Python code")
 
 
 def collect_cases(check: Check, code: int, ending: str, xml_path: Path) -> list[Case]:

@@ -83,7 +83,7 @@ def test_an_unreadable_result_is_an_error_not_a_success(tmp_path: Path, capsys: 
     ("body", "timeout_s", "word"),
     [
         ("def test_a(): pass\n", 60.0, "1 passed"),
-        ("import os\ndef test_a(): os.abort()\n", 60.0, "ended with exit code -6"),
+        ("import os\ndef test_a(): os.abort()\n", 60.0, "ended with exit code -6, Aborted in test_it.py:2 test_a"),
         ("import time\ndef test_a(): time.sleep(60)\n", 3.0, "was ended after 3 s"),
         ("x = 1\n", 60.0, "ended with exit code 5"),
     ],
