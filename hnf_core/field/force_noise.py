@@ -47,6 +47,7 @@ from .linear_contact import (
 )
 
 Float = NDArray[np.float64]
+Rows = slice | NDArray[np.intp]
 
 TANGENTIAL_OVER_NORMAL = 0.82
 """Tangential over normal stiffness of a Hertzian contact at ν = 0.3 (R. D. Mindlin 1949, J. Appl. Mech. 16)."""
@@ -240,7 +241,10 @@ def add_force_noise(alpha: Float, condition: Condition, carriers: Carriers) -> F
     """
     power, probe = np.square(alpha), get_probe(condition.probe)
     for rows, noise, body in _iterate_materials(condition, carriers):
-        power[rows, :, : carriers.count] = (power[rows, :, : carriers.count] + noise[:, None, :]) * body[:, None, :]
+        bands = power[rows, :, : carriers.count]
+        bands += noise[:, None, :]
+        bands *= body[:, None, :]
+        power[rows, :, : carriers.count] = bands
     if condition.lines is not None and power.shape[2] > carriers.count:
         for rows, tones in _iterate_thread_tones(condition):
             power[rows, :, carriers.count :] += tones[:, None, :]
@@ -257,14 +261,15 @@ def compute_force_noise_power(condition: Condition, carriers: Carriers) -> tuple
     return power, gain
 
 
-def _iterate_materials(condition: Condition, carriers: Carriers) -> Iterator[tuple[NDArray[np.intp], Float, Float]]:
+def _iterate_materials(condition: Condition, carriers: Carriers) -> Iterator[tuple[Rows, Float, Float]]:
     """Yield the moving states of each material (m,), their force noise and the gain of the body, (m, K) each."""
     speed, force, moving = _get_rubbing(condition)
     for index, mechanics in enumerate(condition.mechanics):
         of_material = np.flatnonzero((condition.material == index) & (moving > 0.0))
         for rows, rest in _separate_threads(condition, of_material, mechanics):
             tables = get_force_noise(rest, condition.probe, carriers)
-            noise = tables.compute_power(speed[rows], force[rows]) * moving[rows, None]
+            noise = tables.compute_power(speed[rows], force[rows])
+            noise *= moving[rows, None]
             if condition.along_share is not None:
                 noise *= condition.along_share[rows, None]
             yield rows, noise, tables.compute_body_power(speed[rows])
@@ -279,7 +284,7 @@ def _get_rubbing(condition: Condition) -> tuple[Float, Float, Float]:
 
 def _separate_threads(
     condition: Condition, rows: NDArray[np.intp], mechanics: Mechanics
-) -> Iterator[tuple[NDArray[np.intp], Mechanics]]:
+) -> Iterator[tuple[Rows, Mechanics]]:
     """Yield those of a material's states whose threads are noise, and those whose threads are tones, without them."""
     lines, probe = condition.lines, get_probe(condition.probe)
     has_tones = np.zeros(len(rows), dtype=bool)
@@ -287,7 +292,9 @@ def _separate_threads(
         has_tones = find_thread_lines(lines[rows], mechanics, probe).any(axis=1)
     for chosen, rest in ((rows[~has_tones], mechanics), (rows[has_tones], replace(mechanics, thread_spacing_m=0.0))):
         if len(chosen):
-            yield chosen, rest
+            # Rows in succession, as most are, are read in place.
+            whole = int(chosen[-1] - chosen[0]) == len(chosen) - 1
+            yield slice(int(chosen[0]), int(chosen[-1]) + 1) if whole else chosen, rest
 
 
 def _iterate_thread_tones(condition: Condition) -> Iterator[tuple[NDArray[np.intp], Float]]:
@@ -334,7 +341,6 @@ class ForceNoise:
     def __init__(self, mechanics: Mechanics, probe: Probe, carriers: Carriers) -> None:
         self._carriers, self._mechanics, self._probe = carriers, mechanics, probe
         count, step = carriers.arc_count, STEPS_PER_BAND
-        self._rows = np.arange(count) * step
         self._per_octave = ARC_PER_OCTAVE * step
         size = TABLE_OCTAVES * self._per_octave + count * step
         self._first_hz = carriers.arc_centres()[0] * SPEED_FLOOR_M_S
@@ -342,7 +348,11 @@ class ForceNoise:
         # arc_gain takes wavenumber times speed, which here is the frequency itself.
         gain = lateral_mobility(frequency, probe) * np.square(arc_gain(frequency, np.ones(1))[0])
         self._body = np.square(np.abs(body_response(frequency, probe)))
-        self._gain, edges, limits = gain, carriers.arc_edges(), carriers.time_edges()
+        edges, limits = carriers.arc_edges(), carriers.time_edges()
+        # Row i of these views is the tables at the frequencies of all arc carriers, if the first is the table's i-th.
+        self._arc_gain, self._arc_body = (
+            np.lib.stride_tricks.sliding_window_view(table, count * step)[:, ::step] for table in (gain, self._body)
+        )
         middle = np.sqrt(limits[:-1] * limits[1:])
         self._time_gain = lateral_mobility(middle, probe) * np.square(upper_fade(middle))
         self._time_body = np.square(np.abs(body_response(middle, probe)))
@@ -371,10 +381,10 @@ class ForceNoise:
             low = np.minimum(position.astype(np.intp), len(self._log_loads) - 2)
             share = (position - low)[:, None]
             bands = np.exp(self._log_loads[low] * (1.0 - share) + self._log_loads[low + 1] * share)
-            power[:, carriers.arc_slice] = bands * self._gain[self._find_rows(speed)]
+            power[:, carriers.arc_slice] = bands * self._arc_gain[self._find_rows(speed)]
             return power
         load = (force ** (2.0 * FRICTION_NOISE_FORCE_EXPONENT))[:, None]
-        power[:, carriers.arc_slice] = (load * self._bands) * self._gain[self._find_rows(speed)]
+        power[:, carriers.arc_slice] = (load * self._bands) * self._arc_gain[self._find_rows(speed)]
         integral = np.maximum(self._time_power * (speed[:, None] ** -self._exponent), self._time_start)
         power[:, carriers.time_slice] = np.diff(integral, axis=1) * load * self._time_gain
         return power
@@ -384,7 +394,7 @@ class ForceNoise:
         carriers = self._carriers
         gains = np.empty((len(speed), carriers.count))
         gains[:, carriers.time_slice] = self._time_body
-        gains[:, carriers.arc_slice] = self._body[self._find_rows(speed)]
+        gains[:, carriers.arc_slice] = self._arc_body[self._find_rows(speed)]
         return gains
 
     def add_to_state(self, alpha: Float, speed: float, force: float, moving: float) -> Float:
@@ -393,8 +403,7 @@ class ForceNoise:
         speed [m/s] and force [N] are not below their floors; moving is 0 at rest to 1.
         """
         carriers, scale = self._carriers, moving * moving
-        first = min(round(self._per_octave * math.log2(speed / SPEED_FLOOR_M_S)), TABLE_OCTAVES * self._per_octave - 1)
-        rows = slice(first, first + len(self._rows) * STEPS_PER_BAND, STEPS_PER_BAND)
+        row = min(round(self._per_octave * math.log2(speed / SPEED_FLOOR_M_S)), TABLE_OCTAVES * self._per_octave - 1)
         power = alpha * alpha
         arc, time = power[carriers.arc_slice], power[carriers.time_slice]
         if self._probe.pad is not None:
@@ -407,9 +416,9 @@ class ForceNoise:
             bands = self._bands
             integral = np.maximum(self._time_power * speed**-self._exponent, self._time_start)
             time += (integral[1:] - integral[:-1]) * (scale * self._time_gain)
-        arc += bands * self._gain[rows] * scale
+        arc += bands * self._arc_gain[row] * scale
         if self._probe.body_modes:
-            arc *= self._body[rows]
+            arc *= self._arc_body[row]
             time *= self._time_body
         return np.asarray(np.sqrt(power, out=power))
 
@@ -421,9 +430,9 @@ class ForceNoise:
         return np.asarray(np.sqrt(self._body[row] + (place - row) * (self._body[row + 1] - self._body[row])))
 
     def _find_rows(self, speed: Float) -> NDArray[np.intp]:
-        """Return the table rows (n, Ka) of all arc carriers at speeds (n,)."""
-        first = np.rint(self._per_octave * np.log2(speed / SPEED_FLOOR_M_S)).astype(np.intp)
-        return np.asarray(np.minimum(first, TABLE_OCTAVES * self._per_octave - 1)[:, None] + self._rows)
+        """Return the rows (n,) of the tables of all arc carriers at speeds (n,)."""
+        row = np.rint(self._per_octave * np.log2(speed / SPEED_FLOOR_M_S)).astype(np.intp)
+        return np.asarray(np.minimum(row, TABLE_OCTAVES * self._per_octave - 1))
 
 
 LOAD_OCTAVES = 12
