@@ -102,6 +102,28 @@ def test_a_check_that_crashes_hangs_or_finds_nothing_is_an_error(
     assert merge_summary.has_failed(cases) == (word != "1 passed")
 
 
+@pytest.mark.parametrize("crashes", [1, 2])
+def test_an_old_blender_that_crashed_is_run_once_more_and_says_so(
+    crashes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_tests, "RESULTS", tmp_path)
+    monkeypatch.setattr(run_tests, "build_command", lambda check: [
+        sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(tmp_path),
+        str(tmp_path / "test_it.py"), f"--junitxml={tmp_path / 'it.xml'}",
+    ])  # fmt: skip
+    (tmp_path / "test_it.py").write_text(
+        "import os, pathlib\nruns = pathlib.Path(__file__).with_name('runs')\ndef test_a():\n"
+        "    count = len(runs.read_text()) if runs.exists() else 0\n    runs.write_text('x' * (count + 1))\n"
+        f"    if count < {crashes}:\n        os.abort()\n"
+    )
+    cases, log = run_tests.run(run_tests.Check("it", ".venv", (), 60.0, can_end=False))
+    summary = merge_summary.format_summary(cases, 0.0)
+    assert "ended with exit code -6, Aborted in test_it.py:7 test_a: run again" in summary
+    assert "---- run again ----" in log
+    assert merge_summary.has_failed(cases) == (crashes == 2)
+    assert (tmp_path / "runs").read_text() == "xx"
+
+
 def test_every_system_library_of_the_list_can_be_looked_for() -> None:
     assert set(system_libraries.read_packages()) == set(system_libraries.SONAMES) | set(system_libraries.PYTHON_MODULES)
 
