@@ -1,7 +1,7 @@
 """Command line of the add-on: `hnf VERB` at a shell and `blender -b FILE --command hnf VERB` behave alike.
 
-The verbs that need Blender, touch and export, are added to those of `hnf_core.cli`. Each verb imports what it needs
-when it runs, so that `hnf --help` loads nothing.
+The verbs that need Blender, touch, views and export, are added to those of `hnf_core.cli`. Each verb imports what it
+needs when it runs, so that `hnf --help` loads nothing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; `argv` excludes the program's name."""
-    return run_command_line(sys.argv[1:] if argv is None else argv, run_touch, run_export)
+    return run_command_line(sys.argv[1:] if argv is None else argv, run_touch, run_export, run_views)
 
 
 def run_touch(arguments: argparse.Namespace) -> int:
@@ -30,19 +30,35 @@ def run_touch(arguments: argparse.Namespace) -> int:
     from hnf_core.cli.touch import make_touch_request
 
     request = make_touch_request(arguments)
-    if importlib.util.find_spec("bpy") is None:
-        raise HnfError(
-            "touch needs Blender, and this Python has no bpy.",
-            remedy="Install it (pip install bpy==5.0.1, Python 3.11), or run: blender -b --command hnf touch …",
-        )
-    if request.scene is not None:
-        from .bridge.importers import check_scene_file
-
-        check_scene_file(request.scene)  # a mistyped path fails before Blender starts
-    _register_properties()
+    _start_blender("touch", request.scene)
     from .touch.run import run
 
     return run(request)
+
+
+def run_views(arguments: argparse.Namespace) -> int:
+    """Run `hnf views`: render a scene's cameras to files."""
+    from hnf_core.cli.views import make_views_request
+
+    request = make_views_request(arguments)
+    _start_blender("views", request.scene)
+    from .touch.scene_views import write_views
+
+    return write_views(request)
+
+
+def _start_blender(verb: str, scene: Path | None) -> None:
+    """Load Blender for a command; raise HnfError without bpy, FileError if the scene's file cannot be opened."""
+    if importlib.util.find_spec("bpy") is None:
+        raise HnfError(
+            f"{verb} needs Blender, and this Python has no bpy.",
+            remedy=f"Install it (pip install bpy==5.0.1, Python 3.11), or run: blender -b --command hnf {verb} …",
+        )
+    if scene is not None:
+        from .bridge.importers import check_scene_file
+
+        check_scene_file(scene)  # a mistyped path fails before Blender starts
+    _register_properties()
 
 
 def run_export(arguments: argparse.Namespace) -> int:

@@ -161,7 +161,8 @@ class _Prepared:
 def _prepare(request: TouchRequest) -> _Prepared:
     """Open the scene, list its strokes, and make the plan."""
     started = time.monotonic()
-    scene = _open_request_scene(request)
+    cache = None if request.out is None else request.out / CACHE_FOLDER_NAME
+    scene = open_named_scene("touch", request.scene, cache, write_cache=not request.plan_only)
     opened = time.monotonic()
     session = _make_session(scene, request)
     gathered = skip_strokes(session) if request.has_only_queries else gather_jobs(session)
@@ -284,25 +285,47 @@ def _make_session(scene: Any, request: TouchRequest) -> Session:
     return Session(scene, view_layer, get_metres_per_unit(scene, request.metres_per_unit), request)
 
 
-def _open_request_scene(request: TouchRequest) -> Any:
+def open_named_scene(verb: str, path: Path | None, cache: Path | None = None, *, write_cache: bool = True) -> Any:
+    """Open the scene that a command (`verb`) names, or return that of the open file, with a progress bar.
+
+    Parameters
+    ----------
+    verb : str
+        The command, for its errors.
+    path : Path or None
+        Scene file; None for the open one.
+    cache : Path, optional
+        Folder of cached reconstructions.
+    write_cache : bool, default True
+        If False, the cache is only read.
+
+    Returns
+    -------
+    bpy.types.Scene
+
+    Raises
+    ------
+    FileError, SceneError
+        If the file cannot be opened, or none is open.
+    """
     import bpy
 
-    if request.scene is not None:
+    if path is not None:
         bar = ProgressBar()
         try:
-            task = f"reconstructing {request.scene.name}"
+            task = f"reconstructing {path.name}"
             return open_scene(
-                request.scene,
-                None if request.out is None else request.out / CACHE_FOLDER_NAME,
+                path,
+                cache,
                 lambda progress: bar.show(replace(progress, stage=f"{task}: {progress.stage}")),
-                write_cache=not request.plan_only,
+                write_cache=write_cache,
             )
         finally:
             bar.close()
     if not bpy.data.filepath:
         raise FileError(
             "no scene: no file is open and none was named.",
-            remedy="Run: hnf touch SCENE --out DIR, or: blender -b FILE.blend --command hnf touch --out DIR "
+            remedy=f"Run: hnf {verb} SCENE --out DIR, or: blender -b FILE.blend --command hnf {verb} --out DIR "
             "(check that FILE.blend exists).",
         )
     return bpy.context.scene

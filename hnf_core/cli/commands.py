@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 COMMAND_MODULES = {
     "touch": "touch",
+    "views": "views",
     "synth": "synth",
     "train": "train",
     "materials": "materials",
@@ -39,6 +40,7 @@ COMMAND_MODULES = {
 
 HELP = {
     "touch": "bake a scene and write what each stroke feels like as WAV files",
+    "views": "render a scene's cameras to files: color, depth, normals, ids, transforms.json",
     "synth": "write what one stroke on one material feels like as a WAV file",
     "train": "train a field on recordings of one material, or another of the networks",
     "materials": "list the library's materials",

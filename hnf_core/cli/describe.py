@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from ..datasets.ball_calibration import BALL_RADIUS_M, calibrate, read_press_folder
 from ..datasets.vision_touch import read_touch_image
-from ..errors import FileError, HnfError, UsageError
-from ..files import write_atomically, write_bytes
+from ..errors import HnfError, UsageError
+from ..files import write_bytes
 from ..material.band_descriptor import describe
 from ..material.fuse import find_significant_bands
 from ..material.library import Appearance, load_library
 from ..material.ranking import Suggestion, rank
 from ..material.token import BAND_WAVELENGTHS_M, LEVELS, TOKEN_NAMES, Token
+from ..scene.rgbd_view import write_exr
 from ..tactile.optics import SENSORS
 from ..tactile.photometric_stereo import (
     DecodedTouch,
@@ -204,12 +205,7 @@ def _write_height(path: Path, height: NDArray[np.float32]) -> None:
         np.save(buffer, height, allow_pickle=False)
         write_bytes(path, buffer.getvalue())
         return
-    try:
-        import OpenEXR
-    except ImportError as error:
-        raise FileError(f"EXR needs OpenEXR ({error}).", where=str(path), remedy="Write .npy instead.") from error
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    write_atomically(path, lambda temporary: OpenEXR.File(header, {"Y": height}).write(str(temporary)))
+    write_exr(path, {"Y": height})
 
 
 def _get_pixel_m(arguments: argparse.Namespace) -> float | None:

@@ -29,14 +29,19 @@ Runner = Callable[[argparse.Namespace], int]
 
 
 def build_parser(
-    run_touch: Runner, run_export: Runner | None = None, only: str | None = None, subject: str = ""
+    run_touch: Runner,
+    run_export: Runner | None = None,
+    only: str | None = None,
+    subject: str = "",
+    run_views: Runner | None = None,
 ) -> argparse.ArgumentParser:
     """Build the parser of the command line.
 
     Parameters
     ----------
-    run_touch, run_export : callable
-        Functions that run `hnf touch` and `hnf export`, which need Blender; this package may not import it.
+    run_touch, run_export, run_views : callable
+        Functions that run `hnf touch`, `hnf export` and `hnf views`, which need Blender; this package may not import
+        it.
     only : str or None
         The one command whose options are needed, "" for none; the others get only their help. None means all commands.
     subject : str
@@ -56,7 +61,7 @@ def build_parser(
     )
     parser.add_argument("--version", action="version", version=f"hnf {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
-    runners = {"touch": run_touch, "export": run_export}
+    runners = {"touch": run_touch, "export": run_export, "views": run_views}
     registered = () if only in COMMAND_MODULES else find_plugins(COMMAND_GROUP)
     for verb in (*COMMAND_MODULES, *registered):
         if only not in (None, verb):
@@ -70,14 +75,16 @@ def build_parser(
     return parser
 
 
-def main(argv: Sequence[str], run_touch: Runner, run_export: Runner | None = None) -> int:
+def main(
+    argv: Sequence[str], run_touch: Runner, run_export: Runner | None = None, run_views: Runner | None = None
+) -> int:
     """Parse `argv` (without the program's name), run the command, and return the exit code."""
     for out in (sys.stdout, sys.stderr):
         if isinstance(out, io.TextIOWrapper):  # not every encoding of a terminal or file has "²"
             out.reconfigure(errors="backslashreplace")
     try:
         verb, subject = (*(word for word in argv if not word.startswith("-")), "", "")[:2]
-        parser = build_parser(run_touch, run_export, verb, subject)
+        parser = build_parser(run_touch, run_export, verb, subject, run_views)
         if not argv:
             parser.print_help()
             return 2

@@ -347,18 +347,18 @@ def _encode_taxel_row(values: list[float | None], largest: float) -> bytes:
     """
     pixels: NDArray[np.uint8] = np.zeros((1, compute_taxel_row_width(len(values))), dtype=np.uint8)
     pixels[0, 1 : len(values) + 1] = [round(255.0 * (value or 0.0) / largest) for value in values]
-    return encode_grey_png(pixels)
+    return encode_png(pixels)
 
 
-def encode_grey_png(pixels: NDArray[np.uint8]) -> bytes:
-    """Encode (H, W) values, row by row from the top, as a gray PNG (W3C, "Portable Network Graphics", 3rd edition).
+def encode_png(pixels: NDArray[np.uint8]) -> bytes:
+    """Encode gray values (H, W) or sRGB (H, W, 3), row by row from the top, as a PNG (W3C, 3rd edition).
 
     Equal pixels give equal bytes with one version of zlib.
     """
-    height, width = pixels.shape
+    height, width = pixels.shape[:2]
     # Each row starts with filter type 0, "None".
     rows = b"".join(b"\0" + row.tobytes() for row in np.ascontiguousarray(pixels))
-    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    head = struct.pack(">IIBBBBB", width, height, 8, 2 if pixels.ndim == 3 else 0, 0, 0, 0)
     chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(_encode_png_chunk(tag, body) for tag, body in chunks)
 

@@ -1,4 +1,4 @@
-"""Cameras of a nerfstudio reconstruction, read from its transforms.json.
+"""Cameras of a nerfstudio reconstruction, read from its transforms.json, and written to one.
 
 nerfstudio's cameras look along −z with +y up (OpenGL, Blender); pixel centres lie at +0.5, as in `camera.py`. A trained
 model and its exports use another frame: x_model = scale · (T x_original) by dataparser_transforms.json, and x_poses =
@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -19,10 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError
+from ..files import write_text
 from .camera import Camera
 
 Float = NDArray[np.float64]
 
+TRANSFORMS_FILE = "transforms.json"
 MODEL_TRANSFORM_FILE = "dataparser_transforms.json"
 PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
@@ -45,11 +47,14 @@ class NerfstudioFrame:
         Paths below the folder of transforms.json, with '/'; "" if there is no depth image.
     camera : Camera
         Camera in the frame and unit of the file's poses, or of the trained model if read by `read_model_transforms`.
+    more : mapping of str to str
+        Further keys that are written, which nerfstudio passes over.
     """
 
     file_path: str
     camera: Camera
     depth_file_path: str = ""
+    more: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -221,3 +226,52 @@ def check_relative_path(path: Path, name: str, where: str) -> str:
 
 def _unusable_error(path: Path, why: str, remedy: str = "Export it again.") -> FileError:
     return FileError(f"cannot be used: {why}.", where=str(path), remedy=remedy)
+
+
+def write_transforms(path: Path, frames: Sequence[NerfstudioFrame], **more: Any) -> None:
+    """Write a transforms.json that nerfstudio and `read_transforms` read.
+
+    Intrinsics are written once if all frames share them.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    frames : sequence of NerfstudioFrame
+        Images with perspective cameras, their paths below the file's folder.
+    **more
+        Further keys of the document, with JSON values.
+
+    Raises
+    ------
+    FileError
+        If a camera is not perspective, a path leaves the folder, or the file cannot be written.
+    """
+    lenses = [_encode_lens(path, frame.camera) for frame in frames]
+    shared = all(lens == lenses[0] for lens in lenses)
+    document: dict[str, Any] = {"camera_model": "OPENCV", **(lenses[0] if shared and lenses else {}), **more}
+    document["frames"] = [
+        {
+            "file_path": check_relative_path(path, frame.file_path, "file_path"),
+            **(
+                {"depth_file_path": check_relative_path(path, frame.depth_file_path, "depth")}
+                if frame.depth_file_path
+                else {}
+            ),
+            **frame.more,
+            **({} if shared else lens),
+            "transform_matrix": (frame.camera.pose @ OPENGL_CAMERA_AXES).tolist(),
+        }
+        for frame, lens in zip(frames, lenses, strict=True)
+    ]
+    write_text(path, json.dumps(document, indent=1) + "\n")
+
+
+def _encode_lens(path: Path, camera: Camera) -> dict[str, float]:
+    if camera.kind != "perspective":
+        raise FileError("nerfstudio knows no orthographic camera.", where=str(path), remedy="Choose Perspective.")
+    matrix = camera.intrinsics
+    return {
+        "fl_x": float(matrix[0, 0]), "fl_y": float(matrix[1, 1]), "cx": float(matrix[0, 2]), "cy": float(matrix[1, 2]),
+        "w": camera.width, "h": camera.height,
+    }  # fmt: skip

@@ -1,15 +1,18 @@
-"""A rendered RGB-D view, and the passes of a multilayer EXR as Blender writes them."""
+"""A rendered RGB-D view, the passes of a multilayer EXR as Blender writes them, and EXR files of our own."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError
+from ..files import write_atomically
 from .camera import Camera
 
 
@@ -62,20 +65,54 @@ def read_exr(path: str | Path) -> dict[str, NDArray[np.float32]]:
         If the file is missing, damaged, or no EXR.
     """
     path = Path(path)
+    parts = _read_parts(path)
+    channels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+    if not channels:
+        raise FileError("it holds no channels.", where=str(path), remedy="Render it again.")
+    return group_channels(channels)
+
+
+def _read_parts(path: Path) -> Any:
     if not path.is_file():
         raise FileError("there is no such file.", where=str(path), remedy="Render it again.")
     import OpenEXR  # imported here because it is slow to load and only needed for rendered files
 
     try:
-        parts = OpenEXR.File(str(path), separate_channels=True).parts
-        channels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+        return OpenEXR.File(str(path), separate_channels=True).parts
     except Exception as error:  # the reader's own exceptions share no narrower base
         raise FileError(
             f"it cannot be read as OpenEXR ({error}).", where=str(path), remedy="Render it again."
         ) from error
-    if not channels:
-        raise FileError("it holds no channels.", where=str(path), remedy="Render it again.")
-    return group_channels(channels)
+
+
+MANIFEST_ENTRY = re.compile(r'"(.*?)":"([0-9a-f]{8})"(?=[,}])')
+"""An entry of a cryptomatte's manifest, a JSON object in which Cycles does not escape the names."""
+
+
+def read_cryptomatte_names(path: Path) -> dict[int, str]:
+    """Read the names of everything that a file's cryptomattes may show, by 32-bit hash (Psyop, Cryptomatte 1.2).
+
+    The pass `CryptoObject00` of `read_exr` holds the bits of such a hash in its first channel. Raises FileError as
+    `read_exr` does.
+    """
+    headers = (str(value) for part in _read_parts(path) for key, value in part.header.items() if "/manifest" in key)
+    return {int(code, 16): name for header in headers for name, code in MANIFEST_ENTRY.findall(header)}
+
+
+def write_exr(path: Path, channels: Mapping[str, NDArray[np.float32] | NDArray[np.uint32]]) -> None:
+    """Write channels (H, W), or (H, W, 3) as "RGB", to an EXR of one part, losslessly compressed, atomically.
+
+    Raises FileError if OpenEXR is missing or the file cannot be written.
+    """
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise FileError(
+            f"EXR needs OpenEXR ({error}).", where=str(path), remedy="Install the package with all it needs."
+        ) from error
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    contiguous = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    write_atomically(path, lambda temporary: OpenEXR.File(header, contiguous).write(str(temporary)))
 
 
 def group_channels(channels: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:

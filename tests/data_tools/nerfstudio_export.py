@@ -38,13 +38,12 @@ from data_tools.splats_from_scene import (
     parse_metres,
 )
 from data_tools.write_splats import write_inria
-from data_tools.write_transforms import TRANSFORMS_FILE, write_transforms
 from hnf_blender.bridge.render.lit_render import OverviewRenderer
 from hnf_blender.touch.session import Session
 from hnf_core.errors import HnfError, UsageError
 from hnf_core.files import write_bytes, write_text
 from hnf_core.scene.camera import Camera
-from hnf_core.scene.nerfstudio import NerfstudioFrame
+from hnf_core.scene.nerfstudio import TRANSFORMS_FILE, NerfstudioFrame, write_transforms
 from hnf_core.scene.splats.gaussians import C0, Splats
 from hnf_core.units import linear_to_srgb
 

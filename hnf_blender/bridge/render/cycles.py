@@ -120,11 +120,15 @@ def set_camera(scene: Any, camera_object: Any, camera: Camera, rigid: ArrayLike,
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
 
 
+PASSES_FILE = "passes.exr"
+"""Name of the rendered file in the folder of a temporary scene."""
+
+
 def render_passes(temporary: TemporaryScene) -> dict[str, NDArray[np.float32]]:
     """Render the temporary scene and return all passes by name. Raises SceneError if Blender fails."""
     import bpy
 
-    path = temporary.folder / "passes.exr"
+    path = temporary.folder / PASSES_FILE
     path.unlink(missing_ok=True)
     temporary.scene.render.filepath = str(path)
     try:

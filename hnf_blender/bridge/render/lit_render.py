@@ -1,21 +1,23 @@
-"""Lit views of a scene for people to look at, and hashes of everything such a view shows.
+"""Lit views of a scene for people to look at, hashes of all that such a view shows, and its cameras' exact passes.
 
-A view is rendered with few samples and denoised. Its hash covers camera, lights, world and objects, so that unchanged
-views are not rendered again.
+A view for people is rendered with few samples and denoised. Its hash covers camera, lights, world and objects, so that
+unchanged views are not rendered again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hnf_core.errors import HnfError
 from hnf_core.files import content_hash
 from hnf_core.scene.camera import Camera
-from hnf_core.scene.rgbd_view import RgbdView
+from hnf_core.scene.rgbd_view import RgbdView, read_cryptomatte_names
 
 from ... import compat
 from ..scene.meshes import get_slot_materials, hash_mesh
@@ -23,7 +25,15 @@ from ..scene.temp_scene import TemporaryScene, suppress_output
 from ..shader.images import fingerprint_file
 from ..shader.object_inputs import find_shader_inputs, format_object_inputs
 from ..shader.shader_hash import format_settings, hash_material, hash_node_tree
-from .cycles import add_camera, configure_cycles, get_planar_depth, read_camera, render_passes, set_camera
+from .cycles import (
+    PASSES_FILE,
+    add_camera,
+    configure_cycles,
+    get_planar_depth,
+    read_camera,
+    render_passes,
+    set_camera,
+)
 
 DOME_STRENGTH = 1.0
 """Strength of the uniform white world that lights a scene without light."""
@@ -166,6 +176,118 @@ class OverviewRenderer:
         temporary.evaluate(_get_frame(scene, frame))
         evaluated = scene.camera.evaluated_get(temporary.view_layer.depsgraph)
         return read_camera(temporary.scene, scene.camera, self._metres, evaluated.matrix_world)
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """View of a scene by one of its cameras.
+
+    Attributes
+    ----------
+    view : RgbdView
+        Color, and depth and normals at the pixel centers.
+    object_id, material_id : (H, W) uint32 array
+        Index of what is seen there in `CameraViewRenderer.objects` and `materials`; 0 where nothing is seen, or what
+        is seen has no material.
+    notes : tuple of str
+        Remarks for the user.
+    """
+
+    view: RgbdView
+    object_id: NDArray[np.uint32]
+    material_id: NDArray[np.uint32]
+    notes: tuple[str, ...]
+
+
+EXACT_SETTINGS = {"samples": 1, "use_denoising": False, "pixel_filter_type": "BOX", "filter_width": 0.01}
+"""Settings of Cycles with which every ray goes through a pixel's center."""
+NO_MATERIAL = "default_surface"
+"""Cycles' name of the material of a surface that has none."""
+
+
+class CameraViewRenderer(OverviewRenderer):
+    """Context manager that renders what cameras of a scene see, all objects included, at the scene's own bounces.
+
+    `objects` and `materials` list the names of what was seen so far; the first is "".
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Scene to render.
+    metres_per_unit : float
+        Length of a Blender unit [m].
+    samples : int
+        Samples per pixel of the color.
+    """
+
+    def __init__(self, scene: Any, *, metres_per_unit: float, samples: int) -> None:
+        super().__init__(scene, metres_per_unit=metres_per_unit, samples=samples, entire_scene=True, relief=True)
+        self.objects, self.materials = [""], [""]
+
+    def __enter__(self) -> CameraViewRenderer:
+        super().__enter__()
+        for name in ("max_bounces", "caustics_reflective", "caustics_refractive"):
+            setattr(self.temporary.scene.cycles, name, getattr(self._scene.cycles, name))
+        return self
+
+    def read_camera(self, camera_object: Any, frame: float | None, size: tuple[int, int] | None) -> Camera:
+        """Return a camera of the scene at a frame (the current one by default) and image size (the scene's own).
+
+        Raises SceneError for a panoramic camera.
+        """
+        scene, render = self._scene, self.temporary.scene.render
+        _copy_resolution(scene, self.temporary.scene)
+        if size is not None:
+            render.resolution_x, render.resolution_y = size
+            render.resolution_percentage = 100
+        depsgraph = self.temporary.evaluate(_get_frame(scene, frame))
+        evaluated = camera_object.evaluated_get(depsgraph)
+        camera = read_camera(self.temporary.scene, evaluated, self._metres, evaluated.matrix_world)
+        render.resolution_percentage = 100  # included in the camera's size
+        return camera
+
+    def render_camera(self, camera: Camera, frame: float | None = None) -> CameraView:
+        """Render the color of a view, then its depth, normals and ids by one ray through each pixel's center.
+
+        Raises SceneError if its pixels are not square or Blender fails.
+        """
+        lit, notes = self.render_view(camera, frame=frame)
+        cycles, layer = self.temporary.scene.cycles, self.temporary.view_layer
+        before = {name: getattr(cycles, name) for name in EXACT_SETTINGS}
+        layer.use_pass_cryptomatte_object = layer.use_pass_cryptomatte_material = True
+        layer.pass_cryptomatte_depth = 2
+        try:
+            for name, value in EXACT_SETTINGS.items():
+                setattr(cycles, name, value)
+            passes = render_passes(self.temporary)
+        finally:
+            for name, value in before.items():
+                setattr(cycles, name, value)
+            layer.use_pass_cryptomatte_object = layer.use_pass_cryptomatte_material = False
+        names = read_cryptomatte_names(self.temporary.folder / PASSES_FILE)
+        depth = get_planar_depth(passes, self._metres)
+        view = RgbdView(camera, lit.rgb, depth, lit.face_id, passes["Normal"][..., :3])
+        is_seen = np.isfinite(depth)
+        return CameraView(
+            view,
+            _number_names(passes["CryptoObject00"], is_seen, names, self.objects),
+            _number_names(passes["CryptoMaterial00"], is_seen, names, self.materials),
+            notes,
+        )
+
+
+def _number_names(
+    cryptomatte: NDArray[np.float32], is_seen: NDArray[np.bool_], names: dict[int, str], table: list[str]
+) -> NDArray[np.uint32]:
+    """Return each pixel's index in `table`, which is extended by the names that are new, in alphabetical order."""
+    codes, index = np.unique(np.ascontiguousarray(cryptomatte[..., 0]).view(np.uint32), return_inverse=True)
+    index = index.reshape(is_seen.shape)
+    shown = np.unique(index[is_seen])
+    found = [names.get(int(code), "") for code in codes]
+    found = ["" if name == NO_MATERIAL else name for name in found]
+    table += sorted({found[each] for each in shown} - set(table))
+    numbers = np.array([table.index(name) if name in table else 0 for name in found], dtype=np.uint32)
+    return np.asarray(np.where(is_seen, numbers[index], 0), dtype=np.uint32)
 
 
 def add_dome(scene: Any) -> None:

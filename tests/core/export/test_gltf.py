@@ -22,7 +22,7 @@ from hnf_core.export.gltf import (
     compute_taxel_row_width,
     compute_taxel_uv,
     decode_glb,
-    encode_grey_png,
+    encode_png,
     encode_surface,
     find_distinct_rows,
     find_vertices_on_path,
@@ -171,12 +171,15 @@ def test_taxels_do_not_meet(entries: int) -> None:
     assert pixel[-1] < compute_taxel_row_width(entries) < 2 * (entries + 1)
 
 
-@given(pixels=hnp.arrays(np.uint8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9)))
+SHAPES = hnp.array_shapes(min_dims=2, max_dims=2, max_side=9)
+
+
+@given(pixels=hnp.arrays(np.uint8, SHAPES | SHAPES.map(lambda shape: (*shape, 3))))
 @settings(deadline=None)
-def test_grey_pictures_are_read_by_others(pixels: np.ndarray) -> None:
+def test_pictures_are_read_by_others(pixels: np.ndarray) -> None:
     image = pytest.importorskip("PIL.Image", reason="needs Pillow, an independent reader of PNG")
-    found = image.open(io.BytesIO(encode_grey_png(pixels)))
-    assert found.mode == "L"
+    found = image.open(io.BytesIO(encode_png(pixels)))
+    assert found.mode == ("L" if pixels.ndim == 2 else "RGB")
     np.testing.assert_array_equal(np.asarray(found), pixels)
 
 

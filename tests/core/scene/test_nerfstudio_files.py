@@ -10,10 +10,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_camera import rotation
 
-from data_tools.write_transforms import write_transforms
 from hnf_core.errors import FileError
 from hnf_core.scene.camera import Camera, orthographic
-from hnf_core.scene.nerfstudio import MODEL_TRANSFORM_FILE, NerfstudioFrame, read_model_transforms, read_transforms
+from hnf_core.scene.nerfstudio import (
+    MODEL_TRANSFORM_FILE,
+    NerfstudioFrame,
+    read_model_transforms,
+    read_transforms,
+    write_transforms,
+)
 
 finite = st.floats(-50.0, 50.0)
 LENS = {"fl_x": 800.0, "fl_y": 790.0, "cx": 321.5, "cy": 240.0, "w": 640, "h": 480}

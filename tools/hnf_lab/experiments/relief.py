@@ -161,7 +161,7 @@ def bake_strokes(scene: Path, out: Path) -> Iterator[tuple[StrokeJob, BakedStrok
     """Bake the default strokes of a scene by the product's own steps. Raises HnfError if nothing can be touched."""
     request = TouchRequest(scene=scene, out=out)
     cli._register_properties()
-    session = touch_run._make_session(touch_run._open_request_scene(request), request)
+    session = touch_run._make_session(touch_run.open_named_scene("touch", request.scene), request)
     gathered = gather_jobs(session)
     report = touch_run._new_report(session, gathered, [])
     baked_strokes: list[tuple[StrokeJob, BakedStroke]] = []
