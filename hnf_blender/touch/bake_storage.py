@@ -90,12 +90,12 @@ def make_face_tokens(mesh: Any, strokes: Sequence[BakedStroke], sources: Set[str
         names = list(earlier.palette.names)
         encoder_names.update(split_encoders(earlier.palette.encoder_id))
     for stroke in strokes:
-        for patch, record, fused in zip(stroke.patches, stroke.records, stroke.fused, strict=True):
+        for material, record, fused in zip(stroke.materials, stroke.records, stroke.fused, strict=True):
             index[record.faces] = len(tokens)
             confidence[record.faces] = fused.confidence
             tokens.append(fused.values)
-            mechanics.append(stroke.materials[patch.slot].library.mechanics)
-            names.append(stroke.materials[patch.slot].library.name)
+            mechanics.append(material.library.mechanics)
+            names.append(material.library.name)
             encoder_names.update({get_encoder_name(record)} - {""})
     used = sorted(set(index[index >= 0].tolist()))
     palette, merged = build_palette(

@@ -19,8 +19,15 @@ from hnf_core.material.band_descriptor import measure_octave_heights
 from hnf_core.material.encoder_registry import Encoder
 from hnf_core.material.fuse import HEIGHT_LIMITS_M, FusedToken, compute_height_gain, is_too_high, merge_tokens
 from hnf_core.material.hnf_file import MaterialFile, with_library_defaults
-from hnf_core.material.library import LibraryMaterial, get_material, load_library
-from hnf_core.material.ranking import ENOUGH_PROBABILITY, PICTURE_ODDS, Suggestion, expect_material, rank
+from hnf_core.material.library import Appearance, LibraryMaterial, get_material, load_library
+from hnf_core.material.ranking import (
+    ENOUGH_PROBABILITY,
+    PICTURE_ODDS,
+    Suggestion,
+    expect_material,
+    mix_rankings,
+    rank,
+)
 from hnf_core.material.token import Token
 from hnf_core.tactile.tactile_map import Route
 from hnf_core.units import m_to_mm
@@ -33,6 +40,12 @@ LIKELY_COUNT = 3
 """Number of materials named where it could be several."""
 GUESS_CONFIDENCE = 0.3
 """Confidence below which nothing in the scene supports a material; a name or a distinct appearance gives more."""
+
+
+PART_CELLS = 4
+"""Squares along a side of a patch of a reconstruction, 5 mm each, whose mean colors are told apart."""
+PART_COLOR_STEP = 1.0 / 16.0
+"""Step of the square root of a linear color within which parts of a patch count as one color."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +163,8 @@ def decide_material(
 ) -> SlotMaterial:
     """Return the library material of a slot: the user's choice, else the expectation over the ranking.
 
-    `records` are the results of the slot's patches, whose appearance and relief count in the ranking.
+    `records` are the results of the slot's patches, whose appearance and relief count in the ranking; of a
+    reconstruction, that of one patch.
     """
     shader = get_shader_name(touched, slot)
     chosen = find_chosen_material(touched, slot, request)
@@ -169,15 +183,44 @@ def rank_materials(touched: TouchedObject, slot: int, records: Sequence[PatchRec
     """Rank all library materials for a slot, the most probable first, whatever the user chose.
 
     Names (of material, object and textures), appearance and relief count. `records` are the results of the slot's
-    patches.
+    patches; of a reconstruction, in whose one slot several materials may lie, the result of one patch, whose parts of
+    different colors are ranked one by one.
     """
     names = [get_shader_name(touched, slot), touched.surface.object_name, touched.obj.data.name]
     token, route = merge_relief(records)
     texture_names = touched.texture_names[slot] if slot < len(touched.texture_names) else ()
-    return rank(
-        load_library(), compute_mean_appearance(records), names, image_names=texture_names, token=token, route=route,
-        look=PICTURE_ODDS if any(record.unlit is not None for record in records) else {},
-    )  # fmt: skip
+    look = PICTURE_ODDS if any(record.unlit is not None for record in records) else {}
+    mean = compute_mean_appearance(records)
+    parts = split_colors(records[0]) if touched.uses_splats(slot) and len(records) == 1 else ()
+    looks = [(replace(mean, base_color=color), size) for color, size in parts] or [(mean, 1.0)]
+    rankings = [
+        rank(load_library(), appearance, names, image_names=texture_names, token=token, route=route, look=look)
+        for appearance, _ in looks
+    ]
+    return mix_rankings(load_library(), rankings, [size for _, size in looks])
+
+
+def split_colors(record: PatchRecord) -> tuple[tuple[tuple[float, float, float], float], ...]:
+    """Split a patch's picture into parts of different color: their mean linear colors and numbers of pixels.
+
+    Squares of `PART_CELLS` a side count as a whole, so that a pattern finer than those is one part. Empty if the patch
+    has no picture: it is of one color.
+    """
+    if record.unlit is None:
+        return ()
+    linear = record.unlit.linear.astype(np.float64)
+    height, width = record.mask.shape
+    cell = (np.arange(height) * PART_CELLS // height)[:, None] * PART_CELLS + np.arange(width) * PART_CELLS // width
+    weights = np.bincount(cell[record.mask], minlength=PART_CELLS**2).astype(np.float64)
+    sums = [np.bincount(cell[record.mask], linear[record.mask][:, k], PART_CELLS**2) for k in range(3)]
+    seen = weights > 0.0
+    weights, colors = weights[seen], np.stack(sums, axis=1)[seen] / weights[seen, None]
+    _, part = np.unique(np.floor(np.sqrt(colors) / PART_COLOR_STEP), axis=0, return_inverse=True)
+    sizes = np.bincount(part.ravel(), weights)
+    means = np.stack([np.bincount(part.ravel(), weights * colors[:, k]) for k in range(3)], axis=1) / sizes[:, None]
+    return tuple(
+        ((red, green, blue), size) for (red, green, blue), size in zip(means.tolist(), sizes.tolist(), strict=True)
+    )
 
 
 def merge_relief(records: Sequence[PatchRecord]) -> tuple[Token | None, Route]:

@@ -8,6 +8,7 @@ import unicodedata
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +82,7 @@ def write_stroke_files(
         library_material=library_names,
         fields={
             entry.library.name: "shared" if entry.field is None else entry.field.metadata.get("training_data", "own")
-            for entry in baked.materials.values()
+            for entry in baked.materials
         },
         routes=routes,
         resolved_wavelength_m=resolved if np.isfinite(resolved) else None,
@@ -102,7 +103,23 @@ def write_stroke_files(
         tactile_map_weights="" if record.predicted is None else record.predicted.weights,
         picture_key=picture_key,
         likely=round_likely(main),
+        along=_describe_patches(baked),
     )
+
+
+def _describe_patches(baked: BakedStroke) -> list[dict[str, Any]]:
+    """Describe what each patch was taken for, in the order in which the stroke touches them, for the report."""
+    touched = baked.patch_index[baked.patch_index >= 0]
+    return [
+        {
+            "library_material": baked.materials[index].library.name,
+            "confidence": round(baked.materials[index].confidence, 4),
+            "likely": round_likely(baked.materials[index]),
+            "routes": routes_by_band(baked.fused[index].routes, baked.records[index].mesh_bands),
+            "time_share": round(float(np.mean(touched == index)), 4),
+        }
+        for index in dict.fromkeys(touched.tolist())
+    ]
 
 
 def redraw_stroke_plot(
@@ -119,11 +136,12 @@ def _plot_stroke(
 ) -> None:
     """Draw the plot of a stroke: rendered view, signal over time, facts and tactile map."""
     record, facts = baked.records[baked.main_patch], get_signal_facts(baked)
-    slots = dict.fromkeys(baked.patches[index].slot for index in baked.patch_index if index >= 0)
+    along = [baked.materials[index] for index in dict.fromkeys(baked.patch_index[baked.patch_index >= 0].tolist())]
+    touched = {(material.shader, material.library.name): material for material in reversed(along)}
     write_stroke_figure(
         path, title=job.name, action=action, signal=signal, view=view,
         facts={
-            "Material": format_material_line(job.object_name, [baked.materials[slot] for slot in slots]),
+            "Material": format_material_line(job.object_name, list(reversed(touched.values()))),
             "Routes": facts["routes"],
             "Height": _format_height_line(facts["height_source"], get_resolved_wavelength(record)),
             "Confidence": f"{confidence:.0%} in the whole signal; probe: {baked.stroke.probe}",

@@ -46,6 +46,9 @@ class StrokeReport:
         Hash of everything the plot shows besides the touch.
     likely : Mapping[str, float]
         The first three library materials that it could be, by probability; empty if one alone is felt.
+    along : sequence of mapping
+        What each patch was taken for, in the order in which they are touched: library_material, confidence, likely,
+        routes, and time_share, its fraction of the contact.
     """
 
     name: str
@@ -72,6 +75,7 @@ class StrokeReport:
     picture_key: str = ""
     likely: Mapping[str, float] = field(default_factory=dict)
     fields: Mapping[str, str] = field(default_factory=dict)
+    along: Sequence[Mapping[str, Any]] = ()
 
 
 @dataclass(frozen=True)

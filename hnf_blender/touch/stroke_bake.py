@@ -177,7 +177,7 @@ def make_stroke_bake(baked: BakedStroke, synthesised: SynthesisedStroke, *, key:
     other = baked.alternative
     if other is None:
         return bake
-    is_softened = any(material.doubt == TOO_LOUD_DOUBT for material in baked.materials.values())
+    is_softened = any(material.doubt == TOO_LOUD_DOUBT for material in baked.materials)
     alternative = replace(
         bake, stroke=make_stroke_input(other), shares=compute_known_shares(other), facts=get_signal_facts(other),
         notes=other.notes, doubts=other.doubt_notes, is_softened=not is_softened,

@@ -64,6 +64,7 @@ from .material_choice import (
     format_likely,
     format_own_relief_note,
     fuse_record,
+    get_shader_name,
     settle_slot,
 )
 from .patch_cache import PatchRecord
@@ -98,8 +99,8 @@ class BakedStroke:
         Patch of each action sample, −1 off the surface.
     records, fused : tuple
         PatchRecord and FusedToken of each patch.
-    materials : Mapping[int, SlotMaterial]
-        Material by slot.
+    materials : tuple of SlotMaterial
+        Material of each patch: of its slot, or of a reconstruction its own.
     skip_reasons : tuple of str
         Reasons why no relief was predicted from unlit images.
     authored_heights_m : Mapping[int, float]
@@ -116,7 +117,7 @@ class BakedStroke:
     patch_index: NDArray[np.int32]
     records: tuple[PatchRecord, ...]
     fused: tuple[FusedToken, ...]
-    materials: Mapping[int, SlotMaterial]
+    materials: tuple[SlotMaterial, ...]
     skip_reasons: tuple[str, ...] = ()
     authored_heights_m: Mapping[int, float] = field(default_factory=dict)
     alternative: BakedStroke | None = None
@@ -129,7 +130,7 @@ class BakedStroke:
     @property
     def main_material(self) -> SlotMaterial:
         """Library material of the patch that most action samples touch."""
-        return self.materials[self.patches[self.main_patch].slot]
+        return self.materials[self.main_patch]
 
     @property
     def main_routes(self) -> tuple[Route, ...]:
@@ -160,22 +161,27 @@ class BakedStroke:
     def doubt_notes(self) -> tuple[str, ...]:
         """One note per material whose relief has the height of the library material."""
         return tuple(
-            format_doubt_note(
-                self.materials[slot], self.stroke.object_name, self.authored_heights_m.get(slot, height), height
-            )
+            format_doubt_note(material, self.stroke.object_name, self.authored_heights_m.get(slot, height), height)
             for slot, height in _find_tallest(self.patches, self.records).items()
-            if self.materials[slot].doubt
+            if (material := self._get_slot_material(slot)).doubt
         )
 
+    def _get_slot_material(self, slot: int) -> SlotMaterial:
+        return next(each for patch, each in zip(self.patches, self.materials, strict=True) if patch.slot == slot)
+
     def _guess_notes(self) -> list[str]:
-        notes = (format_guess_note(material, self.stroke.object_name) for material in self.materials.values())
+        # Of patches that are taken for the same material, the least certain one speaks.
+        by_name = {
+            (each.shader, each.library.name): each for each in sorted(self.materials, key=lambda each: -each.confidence)
+        }
+        notes = (format_guess_note(material, self.stroke.object_name) for material in by_name.values())
         return [note for note in notes if note]
 
     def _learned_notes(self) -> list[str]:
         return [
             f"material '{material.shader}' was learned ({material.field.metadata.get('licence', '')}): "
             "its shader's relief is not felt on top of it."
-            for material in self.materials.values()
+            for material in self.materials
             if material.field is not None
         ]
 
@@ -183,12 +189,12 @@ class BakedStroke:
         """Return one note per material whose relief is unusually high or low, about its tallest patch."""
         tallest: dict[str, float] = {}
         for slot, height in _find_tallest(self.patches, self.records).items():
-            shader = self.materials[slot].shader
-            if not self.materials[slot].doubt:
+            shader, doubt = self._get_slot_material(slot).shader, self._get_slot_material(slot).doubt
+            if not doubt:
                 tallest[shader] = max(tallest.get(shader, 0.0), height)
         modelled = {
-            self.materials[patch.slot].shader
-            for patch, record in zip(self.patches, self.records, strict=True)
+            material.shader
+            for material, record in zip(self.materials, self.records, strict=True)
             if any(record.mesh_bands)
         }
         made_by = {shader: _BUMP_REMEDY if shader not in modelled else _MESH_REMEDY for shader in tallest}
@@ -282,20 +288,19 @@ def bake_stroke(
     chosen_slots = {slot for slot in slots if find_chosen_material(touched, slot, request) is not None}
     records = bake_patches(touched, patches, folder, counts, predictor, chosen_slots, progress)
     authored_heights_m = _find_tallest(patches, records)
-    materials, settled = {}, list(records)
-    for slot in slots:
-        indices = [index for index, patch in enumerate(patches) if patch.slot == slot]
-        slot_records = [records[index] for index in indices]
-        materials[slot], slot_records[:] = settle_slot(
-            touched, slot, request, slot_records, predictor.measured_encoder, doubt
+    material_by_patch: dict[int, SlotMaterial] = {}
+    settled = list(records)
+    for slot, indices in _group_patches(touched, patches):
+        material, part_records = settle_slot(
+            touched, slot, request, [records[index] for index in indices], predictor.measured_encoder, doubt
         )
-        for index, record in zip(indices, slot_records, strict=True):
-            settled[index] = record
-    records = tuple(settled)
-    fused = tuple(fuse_record(record, materials[patch.slot]) for patch, record in zip(patches, records, strict=True))
+        for index, record in zip(indices, part_records, strict=True):
+            material_by_patch[index], settled[index] = material, record
+    materials, records = tuple(material_by_patch[index] for index in range(len(patches))), tuple(settled)
+    fused = tuple(fuse_record(record, material) for record, material in zip(records, materials, strict=True))
     skip_reasons = {
-        f"material '{materials[slot].shader}': {predictor.missing_reason or explain_skipped(unlit)}."
-        for slot in materials.keys() - chosen_slots
+        f"material '{get_shader_name(touched, slot)}': {predictor.missing_reason or explain_skipped(unlit)}."
+        for slot in slots.keys() - chosen_slots
         for unlit in _select_skipped_images(
             record.unlit
             for patch, record in zip(patches, records, strict=True)
@@ -306,6 +311,17 @@ def bake_stroke(
         stroke, touched, contacts, patches, patch_index, records, fused, materials, tuple(sorted(skip_reasons)),
         authored_heights_m,
     )  # fmt: skip
+
+
+def _group_patches(touched: TouchedObject, patches: Sequence[Patch]) -> list[tuple[int, list[int]]]:
+    """Return (slot, patches' indices) of what is one material: the patches of a slot; each by itself if from splats.
+
+    A slot of a shader is one material. A reconstruction has one slot for all that was photographed.
+    """
+    groups: dict[tuple[int, int], list[int]] = {}
+    for index, patch in enumerate(patches):
+        groups.setdefault((patch.slot, index if touched.uses_splats(patch.slot) else -1), []).append(index)
+    return [(slot, indices) for (slot, _), indices in groups.items()]
 
 
 def _find_tallest(patches: Sequence[Patch], records: Sequence[PatchRecord]) -> dict[int, float]:
@@ -378,11 +394,11 @@ def make_stroke_input(baked: BakedStroke) -> StrokeInput:
     if profile is not None:
         # Its maps are float32: more digits are meaningless, and would double the size of a stored stroke.
         profile = replace(profile, height=profile.height.astype(np.float32).astype(np.float64))
-    fields = tuple(baked.materials[patch.slot].field for patch in baked.patches)
+    fields = tuple(material.field for material in baked.materials)
     return StrokeInput(
         action=action,
         tokens=np.stack([fused.values for fused in baked.fused]).astype(np.float32),
-        mechanics=tuple(baked.materials[patch.slot].library.mechanics for patch in baked.patches),
+        mechanics=tuple(material.library.mechanics for material in baked.materials),
         token_index=_extend_patch_index(baked.patch_index),
         profile=profile,
         fields=() if all(field is None for field in fields) else fields,
@@ -395,11 +411,10 @@ def compute_known_shares(baked: BakedStroke) -> NDArray[np.float64]:
     The seven bands of the token count as measured, predicted or prior; the three mechanical properties, which no image
     shows, count with the confidence in the library material.
     """
-    confidences = [baked.materials[patch.slot].confidence for patch in baked.patches]
     total = BAND_COUNT + MECHANICAL_PROPERTY_COUNT
     return np.array([
-        (BAND_COUNT * fused.confidence + MECHANICAL_PROPERTY_COUNT * confidence) / total
-        for fused, confidence in zip(baked.fused, confidences, strict=True)
+        (BAND_COUNT * fused.confidence + MECHANICAL_PROPERTY_COUNT * material.confidence) / total
+        for fused, material in zip(baked.fused, baked.materials, strict=True)
     ])  # fmt: skip
 
 
@@ -415,11 +430,11 @@ def compute_mean_share(shares: NDArray[np.float64], patch_index: NDArray[np.int3
 def get_signal_facts(baked: BakedStroke) -> dict[str, str]:
     """Return the provenance of a signal, apart from the stroke's name and the confidence."""
     patch = baked.main_patch
-    doubted = "\n".join(dict.fromkeys(entry.shader for entry in baked.materials.values() if entry.doubt))
+    doubted = "\n".join(dict.fromkeys(entry.shader for entry in baked.materials if entry.doubt))
     return {
         "object": baked.stroke.object_name,
         "material": baked.main_material.shader,
-        "library_material": ", ".join(dict.fromkeys(entry.library.name for entry in baked.materials.values())),
+        "library_material": ", ".join(dict.fromkeys(entry.library.name for entry in baked.materials)),
         "routes": format_routes(baked.main_routes, baked.records[patch].mesh_bands),
         "height_source": get_map_source(baked.records[patch]),
         **({DOUBTED_FACT: doubted} if doubted else {}),
@@ -555,9 +570,10 @@ def _describe_own_reliefs(baked: BakedStroke, choices: Mapping[int | None, str |
         if get_shader_token(record) is not None and Route.MEASURED in fused.routes
     }
     notes = []
-    for slot, material in baked.materials.items():
+    for slot in dict.fromkeys(patch.slot for patch in baked.patches):
         choice = choices.get(slot) or choices.get(None)
         if slot in felt and choice and not (isinstance(choice, MaterialFile) and choice.field):
             library = choice.name if isinstance(choice, MaterialFile) else choice
-            notes.append(format_own_relief_note(material.shader, baked.stroke.object_name, library))
+            shader = get_shader_name(baked.touched, slot)
+            notes.append(format_own_relief_note(shader, baked.stroke.object_name, library))
     return notes

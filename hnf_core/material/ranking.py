@@ -290,8 +290,6 @@ def rank(
         score[i] += math.log(WORD_ODDS) * sum(weight for weight, _ in hits[material.name].values())
     probability = np.exp(score - score.max())
     probability = (1.0 - UNIFORM_FLOOR) * probability / probability.sum() + UNIFORM_FLOOR / len(library)
-    same_category = np.array([[first.category == second.category for second in library] for first in library])
-    aptness = (1.0 - SAME_CATEGORY_APTNESS) * probability + SAME_CATEGORY_APTNESS * (same_category @ probability)
     used_values = dict.fromkeys(field for odds_by_value in appearance_odds for field in odds_by_value)
     median_odds = {
         field: float(np.median([odds_by_value.get(field, 0.0) for odds_by_value in appearance_odds]))
@@ -307,9 +305,36 @@ def rank(
         )
         for material, odds_by_value, relief_odds in zip(library, appearance_odds, relief, strict=True)
     ]
+    return _order_by_aptness(library, probability, reasons)
+
+
+def _order_by_aptness(
+    library: Sequence[LibraryMaterial], probability: Float, reasons: Sequence[str]
+) -> tuple[Suggestion, ...]:
+    """Return the materials with their probabilities and reasons, the most apt first."""
+    same_category = np.array([[first.category == second.category for second in library] for first in library])
+    aptness = (1.0 - SAME_CATEGORY_APTNESS) * probability + SAME_CATEGORY_APTNESS * (same_category @ probability)
     # Within a category aptness differs only by the material's probability, so the order is that of the posterior.
     order = np.argsort(-aptness, kind="stable")
     return tuple(Suggestion(library[i].name, float(aptness[i]), reasons[i], float(probability[i])) for i in order)
+
+
+def mix_rankings(
+    library: Sequence[LibraryMaterial], rankings: Sequence[Sequence[Suggestion]], weights: Sequence[float]
+) -> tuple[Suggestion, ...]:
+    """Rank the materials of a surface whose parts were ranked one by one: the weighted mean of their probabilities.
+
+    Two materials side by side are then each as probable as its part is large; the mean of their colors may be a third
+    one's. `weights` are the sizes of the parts, and each reason is that of the part where the material is likeliest.
+    """
+    if len(rankings) == 1:
+        return tuple(rankings[0])
+    by_part = [{suggestion.name: suggestion for suggestion in ranked} for ranked in rankings]
+    shares = np.asarray(weights, dtype=np.float64) / np.sum(weights)
+    named = [[part[material.name] for part in by_part] for material in library]
+    probability = np.array([[suggestion.probability for suggestion in parts] for parts in named]) @ shares
+    reasons = [max(parts, key=lambda suggestion: suggestion.probability).reason for parts in named]
+    return _order_by_aptness(library, probability, reasons)
 
 
 def find_material(words: str) -> tuple[LibraryMaterial, Suggestion | None]:

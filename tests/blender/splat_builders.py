@@ -47,10 +47,25 @@ def slab(*, degree: int = 0) -> Splats:
     return Splats(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
 
 
-def _side(axis: int, sign: float) -> tuple[np.ndarray, np.ndarray]:
+def coarse_slab_file(folder: Path, name: str, left: tuple, right: tuple) -> Path:
+    """A slab whose detail stops at millimetres: sRGB `left` where x < 0 and `right` beyond, each with broad stripes."""
+    sides = [_side(axis, sign, fine_top=False) for axis in (0, 1, 2) for sign in (-1.0, 1.0)]
+    centres = np.concatenate([centre for centre, _ in sides])
+    sizes = np.concatenate([size for _, size in sides])
+    stripes = 1.0 + 0.15 * np.sin(2.0 * np.pi * centres[:, :1] / 15e-3)
+    colours = np.where(centres[:, :1] < 0.0, left, right) * stripes
+    harmonics = (colours[:, None, :] - 0.5) / Y_00
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (len(centres), 1))
+    parts = (centres / METRES, sizes / METRES, rotations, np.full(len(centres), 0.97), harmonics)
+    splats = Splats(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+    write_inria(folder / name, splats, comments=("Vertical Axis: z",))
+    return folder / name
+
+
+def _side(axis: int, sign: float, fine_top: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """(n, 3) centres and standard deviations in metres of a side; the top (+z) is finer than the rest."""
     along, across = (axis + 1) % 3, (axis + 2) % 3
-    fine = axis == 2 and sign > 0.0
+    fine = fine_top and axis == 2 and sign > 0.0
     sigma = {along: FINE_M if fine else COARSE_M, across: LONG_M if fine else COARSE_M}
     pitch = 1.05  # standard deviations from one to the next
     counts = {each: max(2, int(np.ceil(2.0 * HALF_M[each] / (pitch * sigma[each])))) for each in (along, across)}

@@ -208,12 +208,10 @@ def test_a_flat_map_gives_the_level_of_a_smooth_surface(tmp_path, monkeypatch) -
     assert baked.strokes[0].main_material.library.name == "sandstone"
     # Friction's own noise belongs to the stuff and cannot be seen: without it nothing is left.
     stroke = baked.strokes[0]
-    smooth = {
-        slot: replace(
-            each, library=replace(each.library, mechanics=replace(each.library.mechanics, friction_noise_n=0.0))
-        )
-        for slot, each in stroke.materials.items()
-    }
+    smooth = tuple(
+        replace(each, library=replace(each.library, mechanics=replace(each.library.mechanics, friction_noise_n=0.0)))
+        for each in stroke.materials
+    )
     felt = synthesise_stroke(replace(stroke, materials=smooth), load_field(), 0, baked.report.counts)
     assert felt.signal.rms < 0.1
 

@@ -86,13 +86,14 @@ def test_a_probe_finds_the_token_that_a_stroke_has_there(tmp_path) -> None:
     touched = session.get_touched_object(bpy.data.objects[PLATE])
     baked = bake_stroke(job.stroke, touched, {}, tmp_path / "cache", Counts(), session.predictor)
     counts = Counts()
-    for patch, record, fused in zip(baked.patches, baked.records, baked.fused, strict=True):
+    parts = zip(baked.patches, baked.records, baked.fused, baked.materials, strict=True)
+    for patch, record, fused, material in parts:
         local = np.linalg.inv(touched.surface.stretch) @ patch.centre
         found = probed(TouchQuery(PLATE, tuple(local)), tmp_path, counts)
         assert (found.fused.values == fused.values).all()
         assert found.fused.routes == fused.routes
         assert (get_token(found.record).values == get_token(record).values).all()
-        assert found.material.library.name == baked.materials[patch.slot].library.name
+        assert found.material.library.name == material.library.name
     assert counts.renders == 0  # the very patches that the stroke left in the store
 
 

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 import pytest
 from predicted_scene import small_weights, use_weights
-from splat_builders import FINE_M, HALF_M, METRES, read_point_tokens, slab, slab_file
+from splat_builders import FINE_M, HALF_M, METRES, coarse_slab_file, read_point_tokens, slab, slab_file
 from touch_scene import signals, touch
 
 from data_tools.write_splats import write_inria
@@ -33,6 +33,10 @@ from hnf_core.scene.splats.reconstruct import MIN_CELLS, reconstruct_surface
 
 STROKE = ("--stroke", "left-right-soft", "--on", "slab", "--scale", str(METRES))
 CELLS = 24
+
+
+BROWN, WHITE = (0.55, 0.4, 0.25), (0.85, 0.84, 0.82)
+"""Display colors of wood and of paper."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,36 @@ def test_a_reconstruction_is_felt_by_the_predicted_route(ran: Ran) -> None:
     assert signal.rms > 0.0
     assert ran.report["skipped"] == []
     assert not any("no real-world size" in warning for warning in ran.report["warnings"])
+
+
+def test_two_materials_in_one_cloud_are_told_apart_patch_by_patch(tmp_path) -> None:
+    """Detail stops at millimetres: color and look give what each patch could be, and nothing of the other half."""
+    along, signal = {}, {}
+    for name, left, right in (("both", BROWN, WHITE), ("brown", BROWN, BROWN), ("white", WHITE, WHITE)):
+        path = coarse_slab_file(tmp_path, "scan.ply", left, right)
+        words = ("--stroke", "left-right-soft", "--on", "scan", "--scale", str(METRES))
+        code, report = touch(path, tmp_path / name, *words)
+        assert code == 0
+        (entry,) = report["strokes"]
+        along[name] = entry["along"]
+        (signal[name],) = signals(tmp_path / name, report).values()
+        assert set(entry["routes"].values()) == {"prior"}
+        assert sum(each["time_share"] for each in entry["along"]) == pytest.approx(1.0, abs=1e-3)
+    first, *_, last = along["both"]
+    assert first["library_material"] == along["brown"][0]["library_material"] == "oak-wood"
+    assert last["library_material"] == along["white"][-1]["library_material"] == "copy-paper"
+    assert first["likely"] == along["brown"][0]["likely"] != along["white"][0]["likely"]
+    assert last["likely"] == along["white"][-1]["likely"] != along["brown"][-1]["likely"]
+    assert entry["library_material"] == "copy-paper"
+    middle = along["both"][1]["likely"]
+    for name, half in (("oak-wood", along["brown"][1]), ("copy-paper", along["white"][1])):
+        assert 0.0 < middle[name] < half["likely"][name]
+    samples = {name: each.samples for name, each in signal.items()}
+    quarter = len(samples["both"]) // 4
+    for half, part in (("brown", slice(None, quarter)), ("white", slice(-quarter, None))):
+        other = {"brown": "white", "white": "brown"}[half]
+        error, distance = (np.square(samples["both"] - samples[each])[part].mean() for each in (half, other))
+        assert error < 0.2 * distance
 
 
 def test_a_second_run_does_nothing_again(ran: Ran, no_work) -> None:

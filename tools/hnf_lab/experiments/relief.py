@@ -109,9 +109,8 @@ class ReliefResult:
 def change_relief(baked: BakedStroke, change: str, *, map_only: bool) -> BakedStroke:
     """Return the stroke with every measured height changed, described and fused again."""
     records, fused = [], []
-    for patch, record in zip(baked.patches, baked.records, strict=True):
+    for material, record in zip(baked.materials, baked.records, strict=True):
         changed, token = _change_record(record, change)
-        material = baked.materials[patch.slot]
         prior = get_smooth_token_values() if map_only else material.library.token
         records.append(changed)
         fused.append(fuse(token, prior, material.confidence, Route.MEASURED if token is not None else record.route))
