@@ -38,7 +38,7 @@ def run_touch(arguments: argparse.Namespace) -> int:
 
 def run_views(arguments: argparse.Namespace) -> int:
     """Run `hnf views`: render a scene's cameras to files."""
-    from hnf_core.cli.views import make_views_request
+    from hnf_core.cli.render_views import make_views_request
 
     request = make_views_request(arguments)
     _start_blender("views", request.scene)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hnf_core.cli.views import ViewsRequest
+from hnf_core.cli.render_views import ViewsRequest
 from hnf_core.errors import FileError, SceneError, UsageError, close_matches, format_choices, pluralize
 from hnf_core.export.gltf import encode_png
 from hnf_core.files import FOLDER_MODE, write_bytes, write_text

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 COMMAND_MODULES = {
     "touch": "touch",
-    "views": "views",
+    "views": "render_views",
     "synth": "synth",
     "train": "train",
     "materials": "materials",

@@ -100,7 +100,7 @@ def test_a_reconstruction_is_felt_by_the_predicted_route(ran: Ran) -> None:
     assert not any("no real-world size" in warning for warning in ran.report["warnings"])
 
 
-def test_two_materials_in_one_cloud_are_told_apart_patch_by_patch(tmp_path) -> None:
+def test_two_materials_in_one_cloud_are_told_apart(tmp_path) -> None:
     """Detail stops at millimetres: color and look give what each patch could be, and nothing of the other half."""
     along, signal = {}, {}
     for name, left, right in (("both", BROWN, WHITE), ("brown", BROWN, BROWN), ("white", WHITE, WHITE)):

@@ -17,6 +17,7 @@ from hnf_core.material.ranking import (
     PICTURE_ODDS,
     Suggestion,
     expect_material,
+    mix_rankings,
     rank,
 )
 from hnf_core.material.token import BAND_FEATURES, LEVELS, TOKEN_DIM
@@ -161,3 +162,22 @@ def test_a_picture_makes_what_pictures_show_likelier() -> None:
     assert seen["fabric"] > plain["fabric"]
     assert seen["glass"] < plain["glass"]
     assert rank(LIBRARY, BLANK, ["glass"], look=PICTURE_ODDS)[0].name == "clear-glass"
+
+
+COLORS = st.lists(st.tuples(*[st.floats(0.0, 1.0)] * 3), min_size=1, max_size=4)
+
+
+@settings(max_examples=20, deadline=None)
+@given(colors=COLORS, sizes=st.lists(st.floats(0.1, 10.0), min_size=4, max_size=4))
+def test_parts_of_a_surface_are_as_probable_as_they_are_large(colors, sizes) -> None:
+    parts, shares = [rank(LIBRARY, Appearance(color), ["scan"]) for color in colors], sizes[: len(colors)]
+    mixed = mix_rankings(LIBRARY, parts, shares)
+    assert sorted(each.name for each in mixed) == sorted(material.name for material in LIBRARY)
+    assert [each.confidence for each in mixed] == sorted((each.confidence for each in mixed), reverse=True)
+    found = {each.name: each.probability for each in mixed}
+    by_part = [{each.name: each.probability for each in part} for part in parts]
+    for name, probability in found.items():
+        expected = np.average([part[name] for part in by_part], weights=shares)
+        assert probability == pytest.approx(expected, abs=1e-12)
+    same = mix_rankings(LIBRARY, [parts[0], parts[0]], shares[:1] * 2)
+    assert [each.name for each in same] == [each.name for each in parts[0]]
