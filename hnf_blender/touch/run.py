@@ -25,6 +25,7 @@ from hnf_core.touch_request import TouchRequest
 
 from ..bridge.importers import open_scene
 from ..bridge.scene.object_size import get_metres_per_unit
+from ..bridge.scene.touchable import realise_instances
 from .bake_plan import (
     Plan,
     PreviousRun,
@@ -164,8 +165,11 @@ def _prepare(request: TouchRequest) -> _Prepared:
     cache = None if request.out is None else request.out / CACHE_FOLDER_NAME
     scene = open_named_scene("touch", request.scene, cache, write_cache=not request.plan_only)
     opened = time.monotonic()
-    session = _make_session(scene, request)
+    view_layer = _get_view_layer(scene)
+    instance_notes = realise_instances(scene, view_layer)
+    session = Session(scene, view_layer, get_metres_per_unit(scene, request.metres_per_unit), request)
     gathered = skip_strokes(session) if request.has_only_queries else gather_jobs(session)
+    gathered.notes += instance_notes
     if request.plan_only:
         gathered.notes += describe_shader_reliefs(session, gathered)
     files = list_external_files(get_scene_path(request))
@@ -278,11 +282,10 @@ def touch_strokes(
     )
 
 
-def _make_session(scene: Any, request: TouchRequest) -> Session:
+def _get_view_layer(scene: Any) -> Any:
     import bpy
 
-    view_layer = bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
-    return Session(scene, view_layer, get_metres_per_unit(scene, request.metres_per_unit), request)
+    return bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
 
 
 def open_named_scene(verb: str, path: Path | None, cache: Path | None = None, *, write_cache: bool = True) -> Any:

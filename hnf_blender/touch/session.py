@@ -42,6 +42,7 @@ from ..bridge.scene.object_size import (
     is_visible,
 )
 from ..bridge.scene.scene_names import find_object, get_named_objects, get_scene_name
+from ..bridge.scene.touchable import describe_instances, explain_untouchable, is_surface
 from ..bridge.shader.closures import ReliefSource, find_relief_source, get_stated_height, is_direct_image
 from ..bridge.shader.images import list_texture_names
 from ..bridge.shader.object_inputs import find_shader_inputs, format_object_inputs
@@ -71,7 +72,7 @@ def resolve_target(scene: Any, text: str) -> Target:
     Names may contain colons: the longest existing name wins. Case counts only if it distinguishes two names. Raises
     SceneError that lists the existing names.
     """
-    meshes = {name: obj for name, obj in get_named_objects(scene).items() if obj.type == "MESH"}
+    meshes = {name: obj for name, obj in get_named_objects(scene).items() if is_surface(obj)}
     exact_name = _match_name(text, meshes)
     if exact_name is not None:
         return Target(exact_name, None)
@@ -81,10 +82,13 @@ def resolve_target(scene: Any, text: str) -> Target:
         return Target(name, _find_slot(meshes[name], slot_text))
     obj = scene.objects.get(text)
     if obj is not None:
+        parts = sorted(name for name, child in meshes.items() if child.parent == obj)
         raise SceneError(
-            f"it is a {obj.type.lower()} object and has no surface to touch.",
+            f"it is of type {obj.type.lower()} and has no surface to touch.",
             where=f"object '{text}'",
-            remedy="Name a mesh object, or convert this one to a mesh (Object > Convert > Mesh).",
+            remedy=f"Name one of its parts: {format_choices(parts, MAX_NAMES)}."
+            if parts
+            else "Name a mesh object, or convert this one to a mesh (Object > Convert > Mesh).",
         )
     object_name = before if colon else text
     remedy = _suggest_objects(object_name, meshes)
@@ -119,7 +123,11 @@ def _find_slot(obj: Any, text: str) -> int:
 
 def _suggest_objects(text: str, meshes: Mapping[str, Any]) -> str:
     """List the objects with faces, after those with similar names."""
-    touchable = sorted(name for name, obj in meshes.items() if len(obj.data.polygons) and not is_cloud(obj))
+    touchable = sorted(
+        name
+        for name, obj in meshes.items()
+        if (obj.type != "MESH" or len(obj.data.polygons)) and not is_cloud(obj)
+    )
     similar = close_matches(text, touchable)
     guess = f"Did you mean {' or '.join(repr(name) for name in similar)}? " if similar else ""
     return (
@@ -599,8 +607,11 @@ def gather_jobs(session: Session) -> GatheredJobs:
                     name, Target(get_scene_name(scene, obj), slot), DEFAULT_PRIMITIVE),
             )  # fmt: skip
         if not gathered.jobs and not gathered.failed:
+            reasons = [f"{each.what}: {each.why}" for each in _iter_skipped(session, set()) if each.why != HIDDEN_REASON]
             raise SceneError(
-                "it shows no mesh with faces.", where=f"scene '{scene.name}'", remedy="Unhide or add one to touch."
+                "it shows no mesh with faces." if not reasons else f"nothing in it can be touched: {reasons[0]}",
+                where=f"scene '{scene.name}'",
+                remedy="" if reasons else "Unhide or add one to touch.",
             )
     add_scene_notes(session, gathered)
     return gathered
@@ -639,21 +650,44 @@ def _make_unique_name(name: str, gathered: GatheredJobs) -> str:
     return next(text for number in range(2, len(used) + 3) if (text := f"{name} {number}") not in used)
 
 
+HIDDEN_REASON = "hidden"
+
+
 def _iter_skipped(session: Session, touched: set[str]) -> Iterator[Skipped]:
-    """Yield the objects that no stroke touches (names not in `touched`), with the reason; long lists are shortened."""
-    named = get_named_objects(session.scene)
+    """Yield everything visible that no stroke touches (names not in `touched`), with the reason.
+
+    Long lists of the same reason are shortened.
+    """
+    named, depsgraph = get_named_objects(session.scene), session.depsgraph
+    names = {obj: name for name, obj in named.items()}
     others = {
-        obj: name for name, obj in named.items() if obj.type == "MESH" and name not in touched and not is_cloud(obj)
+        obj: name
+        for name, obj in named.items()
+        if name not in touched and not is_cloud(obj) and not obj.hnf_stroke.is_stroke
     }
-    free = [others[obj] for obj in filter_visible(others, session.view_layer)]
-    hidden = sorted(set(others.values()).difference(free))
-    muted = [name for name, obj in named.items() if obj.hnf_stroke.is_stroke and obj.hnf_stroke.mute]
-    for names, kind, why in (
-        (free, "object", "no stroke touches it"),
-        (hidden, "object", "hidden"),
-        (muted, "stroke", "muted"),
-    ):
-        if len(names) > 8:
-            yield Skipped(f"{len(names)} {kind}s ({', '.join(names[:3])}, …)", why)
+    groups: dict[tuple[str, str], list[str]] = {}
+    visible = filter_visible(others, session.view_layer)
+    for obj in visible:
+        why = explain_untouchable(obj, depsgraph) or ("no stroke touches it" if is_surface(obj) else "")
+        if why:
+            groups.setdefault((KIND_NAMES.get(obj.type, "object"), why), []).append(others[obj])
+    for obj, why in describe_instances(depsgraph):
+        if obj in names:
+            groups.setdefault(("instances of" if "instance" in why else "hair on", why), []).append(names[obj])
+    hidden = {name for obj, name in others.items() if is_surface(obj)}.difference(others[obj] for obj in visible)
+    groups["object", HIDDEN_REASON] = sorted(hidden)
+    groups["stroke", "muted"] = [
+        name for name, obj in named.items() if obj.hnf_stroke.is_stroke and obj.hnf_stroke.mute
+    ]
+    for (kind, why), members in groups.items():
+        if len(members) > 8:
+            yield Skipped(f"{len(members)} {kind}s ({', '.join(members[:3])}, …)", why)
         else:
-            yield from (Skipped(f"{kind} '{name}'", why) for name in names)
+            yield from (Skipped(f"{kind} '{name}'", why) for name in members)
+
+
+KIND_NAMES = {
+    "FONT": "text", "CURVE": "curve", "META": "metaball", "CURVES": "hair", "POINTCLOUD": "point cloud",
+    "VOLUME": "volume",
+}  # fmt: skip
+"""Type of object → its name in messages; "object" for any other."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ Int = NDArray[np.int32]
 
 SOURCE_FACE = "hnf_source_face"
 """Face attribute of a temporary copy, whose modifiers carry the original face indices to the faces that they make."""
+MAX_COORDINATE_STEP_M = 1e-4
+"""Rounding of coordinates above which a surface is noted to be too far from 0 [m]."""
 MIN_SIZE_M, MAX_SIZE_M = 1e-5, 1e6
 """Sizes of a surface outside this range mean that the unit must be wrong [m]."""
 
@@ -152,6 +154,10 @@ def read_surface(obj: Any, depsgraph: Any, metres_per_unit: float) -> Surface:
     if original.data.users > 1:
         notes = (*notes, f"{where} shares its mesh with {original.data.users - 1} other user(s).")
     notes = (*notes, *describe_idle_modifiers(original, evaluated))
+    step_m = get_coordinate_step(evaluated) * metres_per_unit
+    if step_m > MAX_COORDINATE_STEP_M:
+        notes = (*notes, f"{where}: its coordinates are so far from 0 that they are rounded to steps of {step_m * 1e3:.2g} "
+                 "mm. Subtract the map's offset where it was made, and import it again.")  # fmt: skip
     names = tuple("" if material is None else material.name for material in materials)
     return Surface(original.name, triangles, rigid, stretch, source, names, notes)
 
@@ -240,6 +246,11 @@ def _require_numbers(original: Any, mesh: Any, where: str) -> None:
     )
 
 
+def get_coordinate_step(evaluated: Any) -> float:
+    """Return the step [Blender units] to which float32 rounds the largest coordinate of an object's bounding box."""
+    return float(np.spacing(np.float32(np.abs(np.array([tuple(each) for each in evaluated.bound_box])).max())))
+
+
 def _require_size(mesh: TriangleMesh, where: str) -> None:
     """Raise SceneError if a mesh is so small or large that its unit must be wrong."""
     size = float(np.ptp(mesh.vertices, axis=0).max())
@@ -280,16 +291,19 @@ def get_slot_materials(obj: Any, depsgraph: Any) -> list[Any]:
 
 
 @contextmanager
-def evaluated_mesh(evaluated: Any, depsgraph: Any) -> Iterator[Any]:
+def evaluated_mesh(evaluated: Any, depsgraph: Any, *, copied: bool = True) -> Iterator[Any]:
     """Yield the mesh of an evaluated object in object space; it is freed when the with block ends.
 
-    Raises SceneError if the object has no mesh or no faces.
+    Without `copied` that of a mesh object is read where it is, which is faster and lacks some layers. Raises SceneError
+    if the object has no mesh or no faces.
     """
-    add_work("meshes", item=evaluated.name)
-    try:
-        mesh = evaluated.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
-    except RuntimeError:
-        mesh = None
+    mesh = None
+    if not copied and evaluated.type == "MESH":
+        mesh = evaluated.data
+    else:
+        add_work("meshes", item=evaluated.name)
+        with suppress(RuntimeError):
+            mesh = evaluated.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
     where = f"object '{evaluated.name}'"
     if mesh is None:
         raise SceneError(

@@ -34,8 +34,9 @@ from hnf_core.errors import SceneError
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.raycast import Hits, RayCaster
 
-from ..scene.meshes import Surface, flush_edits, make_ray_caster, read_surface
+from ..scene.meshes import Surface, evaluated_mesh, flush_edits, get_materials, make_ray_caster, read_surface
 from ..scene.object_size import filter_visible, get_world_box, is_visible
+from ..scene.touchable import list_surfaces
 from .new_stroke import create_bezier_object, insert_keys
 
 Float = NDArray[np.float64]
@@ -76,7 +77,7 @@ class PlacedStroke:
 
 
 def list_touchable_slots(scene: Any, depsgraph: Any = None) -> list[tuple[Any, int, str]]:
-    """Return (object, slot, material name) of every slot with faces on the scene's visible meshes.
+    """Return (object, slot, material name) of every slot with faces on the scene's visible surfaces.
 
     They are sorted by object name and slot; the material's name may be "".
     """
@@ -102,20 +103,21 @@ def _measure_slots(scene: Any, depsgraph: Any) -> list[tuple[Any, int, str, floa
     """Return (object, slot, material name, area [Blender units²]) of every slot with faces."""
     depsgraph = depsgraph or _get_current_depsgraph()
     measured = []
-    meshes = filter_visible((obj for obj in scene.objects if obj.type == "MESH"), depsgraph.view_layer)
-    for obj in sorted(meshes, key=lambda obj: str(obj.name)):
+    for obj in sorted(list_surfaces(scene, depsgraph.view_layer), key=lambda obj: str(obj.name)):
         evaluated = obj.evaluated_get(depsgraph)
-        polygons = evaluated.data.polygons
-        if len(polygons) == 0:
-            continue
-        index, area = np.empty(len(polygons), dtype=np.int32), np.empty(len(polygons), dtype=np.float32)
-        polygons.foreach_get("material_index", index)
-        polygons.foreach_get("area", area)
-        slots = evaluated.material_slots
+        try:
+            with evaluated_mesh(evaluated, depsgraph, copied=False) as mesh:
+                materials = get_materials(evaluated, mesh)
+                count = len(mesh.polygons)
+                index, area = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.float32)
+                mesh.polygons.foreach_get("material_index", index)
+                mesh.polygons.foreach_get("area", area)
+        except SceneError:
+            continue  # without faces
         scale = abs(float(np.linalg.det(np.array(evaluated.matrix_world)[:3, :3]))) ** (2.0 / 3.0) or 1.0
-        covered = np.bincount(np.clip(index, 0, max(len(slots), 1) - 1), weights=area) * scale
+        covered = np.bincount(np.clip(index, 0, max(len(materials), 1) - 1), weights=area) * scale
         for slot in np.flatnonzero(covered > 0.0):
-            material = slots[slot].material if slot < len(slots) else None
+            material = materials[slot] if slot < len(materials) else None
             measured.append((obj, int(slot), str(material.name) if material else "", float(covered[slot])))
     return measured
 
@@ -385,4 +387,8 @@ def _create_curve_object(name: str, points: Float, cyclic: bool, obj: Any, surfa
     stroke = create_bezier_object(name, *(values @ to_object.T for values in (points, left, right)), cyclic=cyclic)
     scene.collection.objects.link(stroke)
     stroke.parent = obj
+    if obj.type == "CURVE":  # which moves its children along its path
+        depsgraph = _get_current_depsgraph()
+        moved = stroke.evaluated_get(depsgraph).matrix_world.copy()
+        stroke.matrix_parent_inverse = moved.inverted_safe() @ obj.evaluated_get(depsgraph).matrix_world
     return stroke

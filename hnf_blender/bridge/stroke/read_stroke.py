@@ -44,8 +44,9 @@ from ... import compat
 from ...props.scene_settings import find_index
 from ...props.stroke_settings import FORCE_MAX_N
 from ..scene.meshes import Surface, compute_surface_frame, evaluated_mesh, read_surface
-from ..scene.object_size import filter_visible, get_world_boxes, is_visible
+from ..scene.object_size import get_world_boxes, is_visible
 from ..scene.scene_names import get_scene_name
+from ..scene.touchable import list_surfaces
 from .animation import (
     Channel,
     is_moving,
@@ -149,7 +150,7 @@ def find_nearest_surface(
     where: str,
     ignore: Any = None,
 ) -> Any:
-    """Return the visible mesh object that is nearest, on average, to points of a curve.
+    """Return the visible object with a surface that is nearest, on average, to points of a curve.
 
     Objects are tried in the order of their bounding boxes' distances, until no box can be nearer.
 
@@ -177,12 +178,10 @@ def find_nearest_surface(
     Raises
     ------
     StrokeError
-        If no mesh is visible.
+        If no surface is visible.
     """
-    meshes = filter_visible(
-        (obj for obj in scene.objects if obj.type == "MESH" and obj != ignore), depsgraph.view_layer
-    )
-    if len(meshes) == 1 and len(meshes[0].evaluated_get(depsgraph).data.polygons):
+    meshes = list_surfaces(scene, depsgraph.view_layer, ignore)
+    if len(meshes) == 1 and meshes[0].type == "MESH" and len(meshes[0].evaluated_get(depsgraph).data.polygons):
         return meshes[0]  # nothing to compare with
     best, chosen = np.inf, None
     metres = points * metres_per_unit
