@@ -99,6 +99,13 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         type=bpy.types.Object,
         override=OVERRIDABLE,
     )
+    rides: bpy.props.BoolProperty(
+        name="Ride on Surface",
+        description="On a surface that deforms: the stroke keeps to the points that it lies on at its start, wherever "
+        "these move. Off: the surface moves past it",
+        default=False,
+        override=OVERRIDABLE,
+    )
     material: bpy.props.StringProperty(
         name="Material",
         description="Override what this stroke feels. Empty: the surface's own material",

@@ -22,7 +22,7 @@ from hnf_core.signal import Signal
 
 from ..bridge.scene.temp_scene import suppress_output
 from .bake_patches import get_encoder_name, get_resolved_wavelength, get_widest_map
-from .material_choice import SlotMaterial, format_certainty, round_likely
+from .material_choice import SlotMaterial, describe_choice, format_certainty, round_likely
 from .report import StrokeReport
 from .session import StrokeJob
 from .synthesise import BakedStroke, SynthesisedStroke, add_provenance, get_signal_facts, make_stroke_input
@@ -104,6 +104,8 @@ def write_stroke_files(
         picture_key=picture_key,
         likely=round_likely(main),
         along=_describe_patches(baked),
+        materials=[describe_choice(material) for material in baked.met_materials],
+        off_surface=round(baked.off_surface, 4),
     )
 
 
@@ -136,12 +138,10 @@ def _plot_stroke(
 ) -> None:
     """Draw the plot of a stroke: rendered view, signal over time, facts and tactile map."""
     record, facts = baked.records[baked.main_patch], get_signal_facts(baked)
-    along = [baked.materials[index] for index in dict.fromkeys(baked.patch_index[baked.patch_index >= 0].tolist())]
-    touched = {(material.shader, material.library.name): material for material in reversed(along)}
     write_stroke_figure(
         path, title=job.name, action=action, signal=signal, view=view,
         facts={
-            "Material": format_material_line(job.object_name, list(reversed(touched.values()))),
+            "Material": format_material_line(job.object_name, baked.met_materials),
             "Routes": facts["routes"],
             "Height": _format_height_line(facts["height_source"], get_resolved_wavelength(record)),
             "Confidence": f"{confidence:.0%} in the whole signal; probe: {baked.stroke.probe}",

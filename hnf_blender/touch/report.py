@@ -49,6 +49,11 @@ class StrokeReport:
     along : sequence of mapping
         What each patch was taken for, in the order in which they are touched: library_material, confidence, likely,
         routes, and time_share, its fraction of the contact.
+    materials : sequence of Mapping
+        Every touched material, in the order in which they are met: `shader`, `library_material`, `confidence` in that
+        choice alone (whereas `confidence` of the stroke is that of the entire signal), and `reason`.
+    off_surface : float
+        Fraction of its time, 0 to 1, that it presses beside its surface, where it is silent.
     """
 
     name: str
@@ -76,6 +81,22 @@ class StrokeReport:
     likely: Mapping[str, float] = field(default_factory=dict)
     fields: Mapping[str, str] = field(default_factory=dict)
     along: Sequence[Mapping[str, Any]] = ()
+    materials: Sequence[Mapping[str, Any]] = ()
+    off_surface: float = 0.0
+
+
+MAX_OFF_SURFACE = 0.1
+"""Fraction of a stroke's time that it may press beside its surface without being reported as lost."""
+
+
+def format_lost_note(stroke: str, surface: str, off_surface: float) -> str:
+    """Return the note that a stroke presses beside its surface for too much of its time; "" if it does not."""
+    if off_surface <= MAX_OFF_SURFACE:
+        return ""
+    return (
+        f"stroke '{stroke}': for {off_surface:.0%} of its time it presses beside '{surface}' and is silent. Move its "
+        "curve onto the surface; on one that deforms set Ride on Surface."
+    )
 
 
 @dataclass(frozen=True)

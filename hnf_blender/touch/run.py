@@ -42,7 +42,7 @@ from .bake_storage import store_tokens
 from .output_files import redraw_stroke_plot, save_baked_blend, write_stroke_files
 from .overview import StrokeViews
 from .query import add_queries, carry_over_strokes, format_query_line, run_queries, skip_strokes
-from .report import REPORT_NAME, Report, StrokeReport, add_option_hint
+from .report import REPORT_NAME, Report, StrokeReport, add_option_hint, format_lost_note
 from .session import GatheredJobs, Session, StrokeJob, gather_jobs
 from .synthesise import CACHE_FOLDER_NAME, BakedStroke, bake_strokes, record_time, synthesise_stroke
 
@@ -50,12 +50,13 @@ from .synthesise import CACHE_FOLDER_NAME, BakedStroke, bake_strokes, record_tim
 def print_summary(report: Report, request: TouchRequest) -> int:
     """Print the results as text or JSON, with notes and problems on stderr; return the exit code."""
     folder = request.folder
+    strokes = [] if request.has_only_queries else report.strokes
     if request.as_json:
         print(report.as_json(), end="")
     else:
         for entry in report.probes:
             print(f"{format_query_line(entry)} → {folder / (entry['tactile_map'] or {}).get('picture', REPORT_NAME)}")
-        for stroke in () if request.has_only_queries else report.strokes:
+        for stroke in strokes:
             print(format_stroke_line(stroke, folder))
     sys.stdout.flush()  # else the notes on stderr would come before the results
     if report.left_over:
@@ -64,15 +65,18 @@ def print_summary(report: Report, request: TouchRequest) -> int:
             "them; delete them if you do not need them.",
             file=sys.stderr,
         )
+    lost = [format_lost_note(stroke.name, stroke.object, stroke.off_surface) for stroke in strokes]
     for warning in report.warnings:
-        print(f"note: {add_option_hint(warning)}", file=sys.stderr)
-    for why in dict.fromkeys(failed.why for failed in report.failed):  # a file may have failed many strokes
+        if warning not in lost:
+            print(f"note: {add_option_hint(warning)}", file=sys.stderr)
+    problems = [*filter(None, lost), *(failed.why for failed in report.failed)]
+    for why in dict.fromkeys(problems):  # a file may have failed many strokes
         print(f"hnf: {why}", file=sys.stderr)
     if not request.as_json:
         sys.stderr.flush()
         for line in format_closing(report, folder, with_strokes=not request.has_only_queries):
             print(line)
-    return 1 if report.failed else 0
+    return 1 if problems else 0
 
 
 def format_stroke_line(stroke: StrokeReport, folder: Path) -> str:

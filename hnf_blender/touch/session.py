@@ -124,9 +124,7 @@ def _find_slot(obj: Any, text: str) -> int:
 def _suggest_objects(text: str, meshes: Mapping[str, Any]) -> str:
     """List the objects with faces, after those with similar names."""
     touchable = sorted(
-        name
-        for name, obj in meshes.items()
-        if (obj.type != "MESH" or len(obj.data.polygons)) and not is_cloud(obj)
+        name for name, obj in meshes.items() if (obj.type != "MESH" or len(obj.data.polygons)) and not is_cloud(obj)
     )
     similar = close_matches(text, touchable)
     guess = f"Did you mean {' or '.join(repr(name) for name in similar)}? " if similar else ""
@@ -607,7 +605,9 @@ def gather_jobs(session: Session) -> GatheredJobs:
                     name, Target(get_scene_name(scene, obj), slot), DEFAULT_PRIMITIVE),
             )  # fmt: skip
         if not gathered.jobs and not gathered.failed:
-            reasons = [f"{each.what}: {each.why}" for each in _iter_skipped(session, set()) if each.why != HIDDEN_REASON]
+            reasons = [
+                f"{each.what}: {each.why}" for each in _iter_skipped(session, set()) if each.why != HIDDEN_REASON
+            ]
             raise SceneError(
                 "it shows no mesh with faces." if not reasons else f"nothing in it can be touched: {reasons[0]}",
                 where=f"scene '{scene.name}'",

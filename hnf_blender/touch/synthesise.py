@@ -68,7 +68,7 @@ from .material_choice import (
     settle_slot,
 )
 from .patch_cache import PatchRecord
-from .report import Counts, Failed, Report
+from .report import Counts, Failed, Report, format_lost_note
 from .session import Session, StrokeJob
 
 USUAL_HEIGHT_RANGE_M = (0.5e-6, 2e-3)
@@ -133,6 +133,17 @@ class BakedStroke:
         return self.materials[self.main_patch]
 
     @property
+    def met_materials(self) -> list[SlotMaterial]:
+        """Every touched material, in the order in which the stroke meets them."""
+        met = [self.materials[index] for index in dict.fromkeys(self.patch_index[self.patch_index >= 0].tolist())]
+        return list({(material.shader, material.library.name): material for material in met}.values())
+
+    @property
+    def off_surface(self) -> float:
+        """Fraction of the stroke's time that it presses beside its surface."""
+        return float(np.mean(~self.contacts.on_surface & (self.contacts.force > 0.0)))
+
+    @property
     def main_routes(self) -> tuple[Route, ...]:
         """Route of each wavelength band of that patch; learned for a material that has a field of its own."""
         routes = tuple(self.fused[self.main_patch].routes)
@@ -146,7 +157,9 @@ class BakedStroke:
             notes += record.notes
         notes += [*self._relief_notes(), *self._learned_notes(), *self._guess_notes(), *self.skip_reasons]
         off_fraction = float(np.mean(~self.contacts.on_surface))
-        if off_fraction > 0.0:
+        if lost := format_lost_note(self.stroke.name, self.stroke.object_name, self.off_surface):
+            notes.append(lost)
+        elif off_fraction > 0.0:
             notes.append(
                 f"stroke '{self.stroke.name}': {off_fraction:.0%} of its time it is off the surface and silent."
             )

@@ -107,6 +107,7 @@ class HNF_PT_stroke(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
         column = layout.column()
         column.use_property_decorate = False
         column.prop(group, "surface")
+        column.prop(group, "rides")
         if group.surface is None:
             draw_paragraph(column, context, tr("Empty: the nearest visible mesh is touched"), icon="BLANK1")
         column.prop(group, "probe")

@@ -8,6 +8,7 @@ import pytest
 from builders import add_mesh, add_plane, add_sphere, datablock_names
 from stroke_builders import LINE, act, add_stroke, key, keyed_fcurves, read
 
+from hnf_blender.bridge.stroke.place_primitive import place_primitive
 from hnf_blender.bridge.stroke.read_stroke import hash_path, hash_touch
 from hnf_core.errors import SceneError, StrokeError
 
@@ -240,6 +241,82 @@ def test_armature_deforms_the_surface():
     assert stroke.deforming is not None
     assert np.allclose(action.speed, 0.05, atol=1e-4)
     assert np.allclose(action.direction, [-1, 0], atol=1e-3)
+
+
+def lift_by_shape_key():
+    """A cloth that a shape key lifts by 0.2 m and turns over one side within a second."""
+    cloth = add_plane(size=0.4)
+    cloth.shape_key_add(name="Basis")
+    up = cloth.shape_key_add(name="Up", from_mix=False)
+    for point in up.data:
+        point.co.z += 0.2 + 0.5 * point.co.x
+    for frame, value in ((1, 0.0), (25, 1.0)):
+        up.value = value
+        up.keyframe_insert("value", frame=frame)
+    return cloth
+
+
+def swing_by_armature():
+    """A plate skinned to a bone that turns by 90 degrees within a second."""
+    plate = add_plane(size=0.4)
+    armature = bpy.data.armatures.new("Rig")
+    rig = bpy.data.objects.new("Rig", armature)
+    bpy.context.scene.collection.objects.link(rig)
+    bpy.context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="EDIT")
+    bone = armature.edit_bones.new("Bone")
+    bone.head, bone.tail = (-0.5, 0, 0), (-0.5, 0.1, 0)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    plate.vertex_groups.new(name="Bone").add(range(4), 1.0, "REPLACE")
+    plate.modifiers.new("Armature", "ARMATURE").object = rig
+    plate.parent = rig  # as glTF and FBX files are
+    pose = rig.pose.bones["Bone"]
+    pose.rotation_mode = "XYZ"
+    for frame, angle in ((1, 0.0), (25, 1.57)):
+        pose.rotation_euler.y = angle
+        pose.keyframe_insert("rotation_euler", frame=frame)
+    return plate
+
+
+@pytest.mark.parametrize("deform", [lift_by_shape_key, swing_by_armature])
+@pytest.mark.parametrize(("now", "start"), [(1, 1.0), (1, 12.5), (20, 1.0), (25, 25.0)])
+def test_a_ready_stroke_rides_on_a_skin_that_moves_away(deform, now, start):
+    surface = deform()
+    scene = bpy.context.scene
+    scene.frame_set(now)
+    placed = place_primitive(scene, surface, None, "default", 1.0, start_frame=start)
+    _, contacts, _, action = act(placed.curve)
+    assert contacts.on_surface.all()
+    assert scene.frame_current == now  # and the artist's time stays
+    # What is felt is what the same path gives on the shape of its start, standing still.
+    scene.frame_set(1)
+    still = bpy.data.meshes.new_from_object(
+        surface.evaluated_get(at_frame(scene, start)), preserve_all_data_layers=True, depsgraph=at_frame(scene, start)
+    )
+    other = bpy.data.objects.new("Still", still)
+    other.matrix_world = surface.evaluated_get(at_frame(scene, start)).matrix_world
+    scene.collection.objects.link(other)
+    scene.frame_set(now)
+    placed.curve.hnf_stroke.surface, placed.curve.parent = other, other
+    bpy.context.view_layer.update()
+    expected = act(placed.curve)[3]
+    assert np.allclose(action.speed, expected.speed, atol=2e-3)  # a plate that is stretched, in the shape of now
+    assert np.allclose(action.force, expected.force)
+
+
+def at_frame(scene, frame):
+    scene.frame_set(int(frame), subframe=frame % 1.0)
+    return bpy.context.evaluated_depsgraph_get()
+
+
+def test_without_riding_the_skin_moves_away_from_under_a_stroke():
+    surface = lift_by_shape_key()
+    placed = place_primitive(bpy.context.scene, surface, None, "default", 1.0)
+    assert placed.curve.hnf_stroke.rides
+    placed.curve.hnf_stroke.rides = False
+    assert act(placed.curve)[1].on_surface.mean() < 0.3
+    still = add_plane("Still", size=0.1, z=1.0)
+    assert not place_primitive(bpy.context.scene, still, None, "default", 1.0).curve.hnf_stroke.rides
 
 
 def test_still_modifiers_are_ignored_and_simulations_are_refused():

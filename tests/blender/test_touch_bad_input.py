@@ -492,3 +492,17 @@ def test_a_wrong_scene_is_told_before_blender_starts(tmp_path) -> None:
 def test_half_a_placement_is_told_its_other_half(tmp_path, capsys, words, said) -> None:
     assert main(["touch", str(tmp_path / "scene.blend"), "--out", str(tmp_path / "out"), *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_stroke_that_loses_its_surface_is_a_partial_failure(stroke_properties, tmp_path, capsys):
+    ridge_plate()
+    line_stroke("Good")
+    line_stroke("Over the edge", centre=(0.068, 0.0, 0.0))
+    scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
+    for _ in range(2):  # the second time everything is up to date
+        code, report = touch(scene, out)
+        shares = {stroke["name"]: stroke["off_surface"] for stroke in report["strokes"]}
+        assert code == 1 and not report["failed"]
+        assert shares["Good"] == 0.0 and 0.1 < shares["Over the edge"] < 0.6
+        (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("hnf: ")]
+        assert "'Over the edge'" in line and f"{shares['Over the edge']:.0%}" in line

@@ -18,7 +18,7 @@ from hnf_core.errors import SceneError, StrokeError
 from hnf_core.scene.mesh import TriangleMesh
 
 from ... import compat
-from ..scene.meshes import compute_surface_frame, evaluated_mesh
+from ..scene.meshes import Surface, compute_surface_frame, evaluated_mesh, read_surface
 from ..scene.temp_scene import TemporaryScene, get_parent_chain, preserve_animated_values
 
 Float = NDArray[np.float64]
@@ -260,6 +260,13 @@ def sample_world_matrices(scene: Any, objects: tuple[Any, ...], frames: Float) -
             for k, obj in enumerate(objects):
                 matrices[k, i] = np.array(obj.evaluated_get(depsgraph).matrix_world)
     return matrices
+
+
+def read_surface_at(obj: Any, scene: Any, frame: float, metres_per_unit: float) -> Surface:
+    """Read the surface of an object as it is at a (fractional) frame; `scene` is the scene that contains it."""
+    with preserve_animated_values(scene, obj), TemporaryScene() as temporary:
+        temporary.link(obj)
+        return read_surface(obj, temporary.evaluate(frame), metres_per_unit)
 
 
 def sample_shapes(

@@ -37,6 +37,7 @@ from hnf_core.scene.raycast import Hits, RayCaster
 from ..scene.meshes import Surface, evaluated_mesh, flush_edits, get_materials, make_ray_caster, read_surface
 from ..scene.object_size import filter_visible, get_world_box, is_visible
 from ..scene.touchable import list_surfaces
+from .animation import may_deform, read_surface_at
 from .new_stroke import create_bezier_object, insert_keys
 
 Float = NDArray[np.float64]
@@ -144,7 +145,8 @@ def place_primitive(
     """Create a stroke object with a primitive (a stroke in words) at the best place of a material slot.
 
     The curve is a child of `obj`, lies on its surface, and has keyframes of force and progress that can be edited. Left
-    to right runs along the surface's tangent.
+    to right runs along the surface's tangent. On a surface that deforms it lies on the shape of its first frame, and
+    rides on the points there.
 
     Parameters
     ----------
@@ -187,7 +189,8 @@ def place_primitive(
     where = f"object '{obj.name}'"
     if not is_visible(obj, depsgraph.view_layer):
         raise SceneError("it is hidden.", where=where, remedy="Show it in the viewport and in renders.")
-    surface = surfaces(obj)
+    rides = may_deform(obj)
+    surface = read_surface_at(obj, scene, start_frame, metres_per_unit) if rides else surfaces(obj)
     if slot is None:
         slot = int(np.argmax(_compute_slot_areas(surface)))
     caster = _CountingCaster(make_ray_caster(surface.mesh))
@@ -217,7 +220,7 @@ def place_primitive(
     stroke = _create_curve_object(name, points, path.cyclic, obj, surface, scene)
     group = stroke.hnf_stroke
     group.is_stroke, group.law, group.surface = True, "PROGRESS", obj
-    group.start, group.seed = start_frame, seed
+    group.start, group.seed, group.rides = start_frame, seed, rides
     progress, force, _ = make_plan_keyframes(path.moves, stations)
     per_second = float(scene.render.fps) / float(scene.render.fps_base)
     for channel, keys in (("progress", progress), ("force", force)):

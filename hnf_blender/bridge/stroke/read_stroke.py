@@ -341,13 +341,18 @@ def read_stroke(
     unclamped_force, force = force, clamp_force(force, frames, where=where, max_force=FORCE_MAX_N)
     motion = compute_motion(group, profile, clamp_progress(progress, frames, where=where), time, arc.length, rate)
     check_motion(motion, where=where)
-    placements = _sample_placements(obj, target, scene, depsgraph, frames, metres_per_unit, moving) if moving else None
+    rides = bool(group.rides)
+    placements = None
+    if moving and not rides:
+        placements = _sample_placements(obj, target, scene, depsgraph, frames, metres_per_unit, moving)
     samples = _make_samples(curve, arc, placements, time, motion, force)
     deforming = None
     if may_deform(target):
-        integer_frames = np.arange(np.floor(frames[0]), np.ceil(frames[-1]) + 1.0)
-        seconds = (integer_frames - start) * base / fps
-        deforming = sample_shapes(target, scene, surfaces(target).mesh, integer_frames, seconds, metres_per_unit)
+        sampled_frames = np.arange(np.floor(frames[0]), np.ceil(frames[-1]) + 1.0)
+        if rides:  # it keeps to the points that it lies on at its start
+            sampled_frames = frames[:1]
+        seconds = (sampled_frames - start) * base / fps
+        deforming = sample_shapes(target, scene, surfaces(target).mesh, sampled_frames, seconds, metres_per_unit)
     notes: tuple[str, ...] = ()
     if unclamped_force.max() > FORCE_MAX_N * 1.001:
         notes = (f"{where}: its force curve reaches {unclamped_force.max():.3g} N and is held at {FORCE_MAX_N:g} N.",)
