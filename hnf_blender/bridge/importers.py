@@ -6,22 +6,24 @@ also gives a camera per image) are imported into an empty scene.
 
 from __future__ import annotations
 
-import json
 import re
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 
 from hnf_core.errors import FileError, SceneError
 from hnf_core.progress import ProgressCallback, ignore_progress
 from hnf_core.scene.camera import Camera
+from hnf_core.scene.file_kind import identify, read_head
+from hnf_core.scene.gltf_document import check_gltf
 from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, read_model_transforms
 from hnf_core.scene.ply import read_ply_header
 from hnf_core.scene.splats.io_ply import check_splat_file
 
+from .obj_relief import restore_obj_relief
 from .scene.stored_data import show_vertex_colours
 from .scene.temp_scene import suppress_output
 
@@ -160,12 +162,16 @@ def _make_camera_matrix(camera: Camera) -> Any:
     return Matrix((camera.pose @ OPENGL_CAMERA_AXES).tolist())
 
 
-SCENE_SUFFIXES = (".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".json")
+SCENE_SUFFIXES = (
+    *(".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".stl", ".dae", ".json"),
+)
 SPLAT_SUFFIXES = (".splat", ".ksplat", ".spz", ".sog")
 # A curve may be a stroke, and an empty may instance a collection of meshes; lights and cameras cannot be touched.
 TOUCHABLE_TYPES = ("MESH", "SURFACE", "META", "FONT", "CURVE", "CURVES", "EMPTY")
 # Blender compresses files with ZStandard (3.0 and later) or gzip (before).
 BLEND_MAGIC = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
+STL_HEADER_BYTES, STL_FACE_BYTES = 84, 50
+"""Sizes in a binary STL file: of its header, which ends with the number of faces, and of a face."""
 USD_MAGIC = (b"#usda", b"PXR-USDC", b"PK\x03\x04")
 
 
@@ -206,8 +212,7 @@ def open_scene(
     import bpy
 
     path = Path(path).absolute()
-    suffix = path.suffix.lower()
-    check_scene_file(path)
+    suffix = check_scene_file(path)
     if suffix == ".blend":
         _run_operator(path, lambda: bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False))
         scene = bpy.context.scene
@@ -224,14 +229,16 @@ def open_scene(
         )
     if suffix == ".ply" and read_ply_header(path).is_splat:
         return _open_splats(path, cache, progress, write_cache)
-    open_empty_scene()
     importer = _find_importer(suffix, path)
+    open_empty_scene()
     _run_operator(path, lambda: importer(filepath=str(path)))
     scene = bpy.context.scene
     _check_import(scene, path)
     if suffix in {".ply", ".obj"}:
         for obj in scene.objects:
             show_vertex_colours(obj)
+    if suffix == ".obj":
+        restore_obj_relief(path)
     return scene
 
 
@@ -255,11 +262,11 @@ def open_empty_scene() -> None:
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True, load_ui=False)
 
 
-def check_scene_file(path: Path) -> None:
-    """Raise an error if Blender could not open a scene file, judging by its name, size and first bytes.
+def check_scene_file(path: Path) -> str:
+    """Return the ending of the kind of scene that a file is, or raise an error if Blender could not open it.
 
-    This needs no Blender and changes nothing. Raises FileError if the file is missing, damaged or of an unsupported
-    format, and SceneError if there is nothing to touch in it.
+    Its first bytes count more than its name. This needs no Blender and changes nothing. Raises FileError if the file is
+    missing, damaged or of an unsupported format, and SceneError if there is nothing to touch in it.
     """
     path = Path(path).absolute()
     where, suffix = str(path), path.suffix.lower()
@@ -267,8 +274,16 @@ def check_scene_file(path: Path) -> None:
         raise FileError("there is no such file.", where=where, remedy="Check the path.")
     if not path.is_file():
         raise FileError("is not a file.", where=where, remedy="Give the scene file itself.")
+    head = read_head(path)
+    kind = identify(head)
+    if kind is not None and not kind.suffix and (suffix in SCENE_SUFFIXES + SPLAT_SUFFIXES or kind.is_stand_in):
+        raise FileError(f"is {kind.what}.", where=where, remedy=kind.remedy)
     if suffix in SPLAT_SUFFIXES:
         raise _unreadable_splats_error(where)
+    if kind is not None and kind.suffix and _get_family(kind.suffix) != _get_family(suffix):
+        if suffix.startswith(".usd") or kind.suffix.startswith(".usd"):  # Blender goes by the name
+            raise FileError(f"is {kind.what}.", where=where, remedy=f"Rename it to {path.stem}{kind.suffix}.")
+        suffix = kind.suffix
     if suffix not in SCENE_SUFFIXES:
         raise FileError(
             f"a file of kind '{suffix}' is no scene."
@@ -277,27 +292,38 @@ def check_scene_file(path: Path) -> None:
             where=where,
             remedy=f"Give a scene: {' '.join(SCENE_SUFFIXES)}.",
         )
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(64)
-    except OSError as error:
-        raise FileError(
-            f"cannot be read ({error.strerror or error}).", where=where, remedy="Check its rights."
-        ) from error
     if not head:
         raise _damaged_file_error(path, "it is empty")
-    if suffix == ".blend" and not head.startswith(BLEND_MAGIC):
-        raise _damaged_file_error(path, "it does not begin like a .blend file")
-    if suffix == ".glb" and not head.startswith(b"glTF"):
-        raise _damaged_file_error(path, "it does not begin like a binary glTF file")
-    if suffix == ".fbx" and not (head.startswith(b"Kaydara FBX Binary") or head.lstrip().startswith(b";")):
-        raise _damaged_file_error(path, "it does not begin like an FBX file")
-    if suffix.startswith(".usd") and not head.startswith(USD_MAGIC):
-        raise _damaged_file_error(path, "it does not begin like a USD file")
-    if suffix == ".gltf":
-        _check_gltf(path)
+    starts = {
+        ".blend": (BLEND_MAGIC, "a .blend file"),
+        ".glb": ((b"glTF",), "a binary glTF file"),
+        ".fbx": ((b"Kaydara FBX Binary", b";"), "an FBX file"),
+    }
+    starts |= {name: (USD_MAGIC, "a USD file") for name in SCENE_SUFFIXES if name.startswith(".usd")}
+    if suffix in starts and not (head if suffix != ".fbx" else head.lstrip()).startswith(starts[suffix][0]):
+        raise _damaged_file_error(path, f"it does not begin like {starts[suffix][1]}")
+    if suffix in {".gltf", ".glb"}:
+        check_gltf(path)
     if suffix == ".ply":
         _check_ply(path)
+    if suffix == ".stl" and not _is_stl(path, head):
+        raise _damaged_file_error(path, "it is no STL file, neither text nor binary")
+    return suffix
+
+
+def _is_stl(path: Path, head: bytes) -> bool:
+    """Return True if a file is text that begins like an STL file, or as long as a binary one says it is."""
+    if kind := identify(head):
+        return kind.suffix == ".stl"
+    if len(head) < STL_HEADER_BYTES:
+        return False
+    (count,) = struct.unpack("<I", head[STL_HEADER_BYTES - 4 : STL_HEADER_BYTES])
+    return path.stat().st_size >= STL_HEADER_BYTES + STL_FACE_BYTES * count
+
+
+def _get_family(suffix: str) -> str:
+    """Return one name for endings of the same format."""
+    return {".glb": ".gltf", ".usda": ".usd", ".usdc": ".usd"}.get(suffix, suffix)
 
 
 def _check_ply(path: Path) -> None:
@@ -314,20 +340,6 @@ def _check_ply(path: Path) -> None:
         )
 
 
-def _check_gltf(path: Path) -> None:
-    """Raise FileError naming the first missing buffer of a .gltf, which Blender would report as a traceback."""
-    try:
-        document = json.loads(path.read_bytes())
-        buffers = [str(buffer.get("uri", "")) for buffer in document.get("buffers", [])]
-    except (ValueError, AttributeError, TypeError, RecursionError) as error:
-        raise _damaged_file_error(path, "it is not a glTF document") from error
-    for uri in buffers:
-        if uri and not uri.startswith("data:") and not (path.parent / unquote(uri)).is_file():
-            raise FileError(
-                f"its data file '{unquote(uri)}' is missing.", where=str(path), remedy="Put it next to the .gltf file."
-            )
-
-
 def _find_importer(suffix: str, path: Path) -> Callable[..., Any]:
     """Return this Blender version's import operator; a disabled bundled importer is enabled for the session."""
     import bpy
@@ -336,6 +348,16 @@ def _find_importer(suffix: str, path: Path) -> Callable[..., Any]:
         return bpy.ops.wm.obj_import  # type: ignore[no-any-return]
     if suffix == ".ply":
         return bpy.ops.wm.ply_import  # type: ignore[no-any-return]
+    if suffix == ".stl":
+        return bpy.ops.wm.stl_import  # type: ignore[no-any-return]
+    if suffix == ".dae":
+        if "collada_import" not in dir(bpy.ops.wm):  # gone in 5.0
+            raise FileError(
+                "is a COLLADA file, which Blender reads up to version 4.5.",
+                where=str(path),
+                remedy="Open it in Blender 4.5 and save a .blend, or export it as glTF.",
+            )
+        return bpy.ops.wm.collada_import  # type: ignore[no-any-return]
     if suffix.startswith(".usd"):
         return bpy.ops.wm.usd_import  # type: ignore[no-any-return]
     if suffix == ".fbx":

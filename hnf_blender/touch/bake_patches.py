@@ -313,7 +313,8 @@ def bake_patches(
         patch = patch_by_key[key]
         if closeup is not None:
             records[key] = _make_record(closeup, touched.surface, predictor.measured_encoder, counts)
-            save_patch(folder, key, records[key])
+            if not closeup.is_incomplete:  # else the missing texture would stay unnoticed
+                save_patch(folder, key, records[key])
         if patch.slot not in chosen_slots:
             seed = compute_noise_seed(touched, patch)
             records[key] = _add_prediction(records[key], key, seed, folder, predictor, counts)
@@ -325,7 +326,7 @@ def bake_patches(
             while pending:
                 pending.pop().result()
 
-        with _open_renderer(touched, list(missing.values()), wait_for_descriptions) as render_closeup:
+        with _open_renderer(touched, list(missing.values()), wait_for_descriptions, chosen_slots) as render_closeup:
             for done, key in enumerate(patch_by_key):
                 closeup = render_closeup(missing[key]) if key in missing else None
                 wait_for_descriptions()
@@ -342,7 +343,7 @@ def bake_patches(
 
 @contextmanager
 def _open_renderer(
-    touched: TouchedObject, patches: Sequence[Patch], wait_for_threads: Callable[[], None]
+    touched: TouchedObject, patches: Sequence[Patch], wait_for_threads: Callable[[], None], chosen_slots: Collection[int]
 ) -> Iterator[Callable[[Patch], CloseUp]]:
     """Provide a function that renders any of the patches, from splats for a reconstructed surface, else by its shader.
 
@@ -360,6 +361,7 @@ def _open_renderer(
         view_layer=touched.view_layer,
         first_pass_pixels=FIRST_PASS_PIXELS,
         wait_for_threads=wait_for_threads,
+        chosen_slots=chosen_slots,
     )
     with shader_renderer:
         if not splat_patches:

@@ -23,7 +23,7 @@ from hnf_core.tactile.tactile_map import Route
 
 from ..bridge.render.unlit_image import UnlitImage
 
-PATCH_VERSION = 5
+PATCH_VERSION = 6
 """Version of the files of patches; part of every key."""
 PREDICTION_VERSION = 1
 """Version of the files of predictions."""

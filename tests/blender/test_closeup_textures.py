@@ -95,6 +95,84 @@ def test_a_normal_map_tagged_srgb_is_noticed():
     assert any("sRGB" in note and "'normals'" in note for note in look(plane).notes)
 
 
+def save_texture(tmp_path, values: np.ndarray, name: str = "saved"):
+    """An eight-bit picture (count, count, 3) on disk."""
+    image = bpy.data.images.new(name, values.shape[1], values.shape[0])
+    image.colorspace_settings.name = "Non-Color"
+    image.pixels.foreach_set(np.dstack([values, np.ones(values.shape[:2])]).astype(np.float32).ravel())
+    image.filepath_raw, image.file_format = str(tmp_path / f"{name}.png"), "PNG"
+    image.save()
+    return bpy.data.images.load(str(tmp_path / f"{name}.png"))
+
+
+def relief_of_saved(tmp_path, kind: str, tag: str, *, also_colour: bool = False):
+    """The close-up of a saved picture of normals or heights that is tagged as a color or as data."""
+    height, normal, texel = height_image(count=128)
+    plane, texture = normal_mapped_plane(normal, texel)
+    tree, shader = plane.data.materials[0].node_tree, principled(plane.data.materials[0])
+    grey = (height - height.min()) / np.ptp(height)
+    texture.image = save_texture(tmp_path, 0.5 + 0.5 * normal if kind == "normals" else np.dstack([grey] * 3), kind)
+    texture.image.colorspace_settings.name = tag
+    if kind == "heights":
+        bump = tree.nodes.new("ShaderNodeBump")
+        bump.inputs["Distance"].default_value = float(np.ptp(height))
+        tree.links.new(texture.outputs["Color"], bump.inputs["Height"])
+        tree.links.new(bump.outputs[0], shader.inputs["Normal"])
+    if also_colour:
+        tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    return look(plane)
+
+
+@pytest.mark.parametrize("kind", ["normals", "heights"])
+def test_a_picture_of_relief_tagged_as_a_colour_is_read_as_data(tmp_path, kind):
+    counts = [len(bpy.data.images)]
+    data = relief_of_saved(tmp_path, kind, "Non-Color")
+    counts.append(len(bpy.data.images))
+    tagged = relief_of_saved(tmp_path, kind, "sRGB")
+    counts.append(len(bpy.data.images))
+    assert np.array_equal(tagged.height, data.height)
+    notes = [note for note in tagged.notes if note not in data.notes]
+    assert len(notes) == 1 and f"'{kind}.png" in notes[0] and "tagged sRGB: it is read as data" in notes[0]
+    assert counts[2] - counts[1] == counts[1] - counts[0]  # the copy that was read is gone
+
+
+def test_a_picture_that_is_seen_as_a_colour_too_keeps_its_tag(tmp_path):
+    data = relief_of_saved(tmp_path, "heights", "Non-Color")
+    both = relief_of_saved(tmp_path, "heights", "sRGB", also_colour=True)
+    assert not any("read as data" in note for note in both.notes)
+    assert not np.allclose(both.height, data.height, rtol=0.05)
+
+
+def add_missing_colour(plane, name: str = "gone"):
+    tree = plane.data.materials[0].node_tree
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image = bpy.data.images.new(name, 4, 4)
+    node.image.source, node.image.filepath = "FILE", f"//{name}.png"
+    tree.links.new(node.outputs[0], principled(plane.data.materials[0]).inputs["Base Color"])
+    return node
+
+
+def test_a_missing_colour_costs_the_colour_alone():
+    plane, _ = normal_mapped_plane(*height_image(count=128)[1:])
+    before = look(plane)
+    add_missing_colour(plane)
+    after = look(plane)
+    assert np.array_equal(after.height, before.height)
+    assert after.is_incomplete and not before.is_incomplete
+    assert [note for note in after.notes if "'gone'" in note and "its color is unknown" in note]
+
+
+def test_a_chosen_material_needs_no_texture():
+    plane, texture = normal_mapped_plane(*height_image(count=128)[1:])
+    add_missing_colour(plane)
+    texture.image = add_missing_colour(plane, "normals_gone").image
+    with pytest.raises(SceneError, match=r"'normals_gone' is not there.*Find Missing Files"):
+        look(plane)
+    close = look(plane, chosen_slots={0})
+    assert close.height is None and close.is_incomplete
+    assert sum("is unknown" in note for note in close.notes) == 2
+
+
 def test_a_missing_texture_is_refused_by_name_and_leaves_nothing(tmp_path):
     plane, texture = normal_mapped_plane(*height_image(count=64)[1:])
     gone = tmp_path / "gone.png"

@@ -18,13 +18,13 @@ from hnf_blender.bridge.importers import open_scene
 from hnf_blender.bridge.scene.object_size import get_metres_per_unit, get_size_warning
 from hnf_blender.bridge.scene.temp_scene import suppress_output
 from hnf_blender.bridge.shader.closures import ReliefSource, find_relief_source
-from hnf_blender.bridge.shader.images import explain_missing_image
+from hnf_blender.bridge.shader.images import explain_missing_image, get_missing_remedy
 from hnf_core.errors import FileError, HnfError, SceneError
 from hnf_core.scene.ply import read_ply_header
 
 REPOSITORY = Path(__file__).parents[2]
 SCENES = REPOSITORY.parent / "shared" / "data" / "scenes"
-FORMATS = ("blend", "gltf", "glb", "obj", "ply", "usd", "usda", "usdc", "usdz", "fbx")
+FORMATS = ("blend", "gltf", "glb", "obj", "ply", "usd", "usda", "usdc", "usdz", "fbx", "stl")
 RADIUS = 0.05
 
 
@@ -40,7 +40,8 @@ def export(path: Path) -> None:
         elif kind == "fbx":
             bpy.ops.export_scene.fbx(filepath=str(path))
         else:
-            operator = {"obj": bpy.ops.wm.obj_export, "ply": bpy.ops.wm.ply_export}.get(kind, bpy.ops.wm.usd_export)
+            wm = bpy.ops.wm
+            operator = {"obj": wm.obj_export, "ply": wm.ply_export, "stl": wm.stl_export}.get(kind, wm.usd_export)
             operator(filepath=str(path))
 
 
@@ -79,8 +80,55 @@ def test_every_format_imports_only_its_mesh_in_metres(ball_files: Path, kind: st
     assert not {"Cube", "Light", "Camera"} & {obj.name for obj in scene.objects}
     corners = np.array([ball.matrix_world @ vertex.co for vertex in ball.data.vertices])
     assert np.linalg.norm(corners, axis=1) * get_metres_per_unit(scene) == pytest.approx(RADIUS, rel=1e-4)
-    if kind not in ("ply",):
+    if kind not in ("ply", "stl"):
         assert [slot.name for slot in ball.material_slots] == ["Leather"]
+
+
+@pytest.mark.parametrize(("kind", "name"), [("glb", "ball.gltf"), ("gltf", "ball.json"), ("ply", "ball.obj"),
+                                            ("fbx", "ball"), ("blend", "ball.blend1"), ("glb", "ball.bin")])  # fmt: skip
+def test_content_counts_more_than_the_name(ball_files: Path, tmp_path: Path, kind: str, name: str) -> None:
+    for file in ball_files.glob("ball.*"):
+        shutil.copy(file, tmp_path)
+    shutil.copy(ball_files / f"ball.{kind}", tmp_path / name)
+    assert len(meshes(open_scene(tmp_path / name))) == 1
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [
+        (b"version https://git-lfs.github.com/spec/v1\noid", "Git LFS pointer, not the file itself. Run git lfs pull"),
+        (b"<!DOCTYPE html><html>", "web page, not the file itself"),
+        ("v 0 0 0".encode("utf-16"), "UTF-16 text. Save it as UTF-8"),
+    ],
+)
+def test_what_stands_for_a_scene_is_named(tmp_path: Path, kind: str, head: bytes, said: str) -> None:
+    before = start_up_scene()
+    (tmp_path / f"a.{kind}").write_bytes(head)
+    with pytest.raises(FileError, match=said):
+        open_scene(tmp_path / f"a.{kind}")
+    assert everything() == before
+
+
+def test_a_usd_file_of_another_form_is_told_its_name(ball_files: Path, tmp_path: Path) -> None:
+    shutil.copy(ball_files / "ball.usdc", tmp_path / "ball.obj")
+    with pytest.raises(FileError, match=r"is a USD file\. Rename it to ball\.usdc"):
+        open_scene(tmp_path / "ball.obj")
+
+
+def test_collada_is_opened_or_told_who_reads_it(tmp_path: Path) -> None:
+    start_up_scene()
+    path = tmp_path / "sheet.dae"
+    if "collada_export" in dir(bpy.ops.wm):
+        with suppress_output():
+            bpy.ops.wm.collada_export(filepath=str(path))
+        assert len(meshes(open_scene(path))) == 1
+        return
+    path.write_text('<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema"></COLLADA>')
+    before = everything()
+    with pytest.raises(FileError, match=r"COLLADA.*up to version 4\.5.*glTF"):
+        open_scene(path)
+    assert everything() == before
 
 
 def test_suffix_in_capitals_and_relative_paths(ball_files: Path, tmp_path: Path, monkeypatch) -> None:
@@ -188,7 +236,7 @@ def test_a_blend_with_nothing_to_touch_is_refused(tmp_path: Path) -> None:
 
 
 def test_unsupported_kinds_list_the_supported_ones(tmp_path: Path) -> None:
-    for name in ("a.stl", "scene", "a.blend.zip"):
+    for name in ("a.step", "scene", "a.blend.zip"):
         (tmp_path / name).write_bytes(b"x")
         with pytest.raises(FileError, match=r"\.gltf \.glb"):
             open_scene(tmp_path / name)
@@ -329,6 +377,10 @@ def test_missing_and_damaged_images_are_named(tmp_path: Path) -> None:
     path.write_bytes(b"no picture")
     there.reload()
     assert explain_missing_image(there) == f"{path} cannot be read as a picture"
+    path.write_bytes(b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(64))
+    there.reload()
+    assert explain_missing_image(there) == f"{path} is a KTX2 texture, which cannot be read as a picture"
+    assert get_missing_remedy(there).startswith("Convert it to PNG")
     path.unlink()
     assert explain_missing_image(there) == f"{path} is missing"
     there.source, there.filepath = "TILED", str(tmp_path / "tile.<UDIM>.png")

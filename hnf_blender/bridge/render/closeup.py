@@ -8,7 +8,7 @@ Only pixels connected to the patch's center without a step in depth count as its
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -164,6 +164,8 @@ class CloseUp:
     mesh_bands, empty_bands : tuple of bool
         For each wavelength band of a token, True if the mesh gives most of the height, and True if nothing does; both
         are () if the mesh gives none.
+    is_incomplete : bool
+        True if a texture is missing and was left out.
     """
 
     patch: Patch
@@ -180,6 +182,7 @@ class CloseUp:
     unlit: UnlitImage | None = None
     mesh_bands: tuple[bool, ...] = ()
     empty_bands: tuple[bool, ...] = ()
+    is_incomplete: bool = False
 
     @property
     def metres_per_pixel(self) -> float:
@@ -214,6 +217,8 @@ class CloseUpRenderer:
     wait_for_threads : callable, optional
         Waits for the caller's threads; called before every use of Blender, whose operators let other threads run
         Python, which crashes it.
+    chosen_slots : collection of int, optional
+        Slots whose haptic material the user chose, which need no texture.
     """
 
     def __init__(
@@ -229,11 +234,12 @@ class CloseUpRenderer:
         view_layer: Any = None,
         first_pass_pixels: int | None = None,
         wait_for_threads: Callable[[], None] = lambda: None,
+        chosen_slots: Collection[int] = (),
     ) -> None:
         self._obj, self._patches, self._surface, self._caster = obj, patches, surface, caster
         self._pixels, self._first_pass_pixels = pixels, first_pass_pixels
         self._metres_per_unit, self._frame, self._view_layer = metres_per_unit, frame, view_layer
-        self._wait_for_threads = wait_for_threads
+        self._wait_for_threads, self._chosen_slots = wait_for_threads, chosen_slots
         self._exit_stack = ExitStack()
         self._scene: _CloseUpScene | None = None
         self._sampling: dict[int, Sampling] = {}
@@ -302,7 +308,10 @@ class CloseUpRenderer:
         isolated = replace(isolated, notes=(*isolated.notes, *_describe_bad_faces(surface, self._patches)))
         caster = self._caster or make_ray_caster(surface.mesh)
         slot_numbers = sorted({patch.slot for patch in self._patches})
-        slots = {number: instrument_slot(isolated, number, where) for number in slot_numbers}
+        slots = {
+            number: instrument_slot(isolated, number, where, is_chosen=number in self._chosen_slots)
+            for number in slot_numbers
+        }
         add_aovs(temporary.view_layer, [tap for slot in slots.values() for tap in slot.taps])
         camera = add_camera(temporary)
         temporary.scene.render.use_persistent_data = len(self._patches) > 1
@@ -503,6 +512,7 @@ def _build_closeup(masked: _MaskedPatch, surface: Surface) -> CloseUp:
         unlit=_build_unlit_image(rendered, albedo, mask, surface),
         mesh_bands=mesh_bands,
         empty_bands=empty_bands,
+        is_incomplete=rendered.slot.is_incomplete,
     )
 
 

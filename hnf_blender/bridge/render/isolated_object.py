@@ -6,7 +6,7 @@ place only if its shaders depend on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,13 @@ from ..scene.temp_scene import TemporaryScene
 from ..shader.aov_taps import IMAGE_NODE, Tap, Tapper
 from ..shader.bump_displacement import MicroGeometry
 from ..shader.closures import ColourSources, ShaderReading, find_colour_sources, read_shader, read_viewport_shading
-from ..shader.images import UNSAVED_IMAGE_REMEDY, explain_missing_image, has_unsaved_paint
+from ..shader.images import (
+    UNSAVED_IMAGE_REMEDY,
+    copy_as_data,
+    explain_missing_image,
+    get_missing_remedy,
+    has_unsaved_paint,
+)
 from ..shader.node_graph import NodeGraph, iter_nodes
 from ..shader.object_inputs import copy_object_inputs, find_shader_inputs
 
@@ -178,18 +184,22 @@ class SlotReading:
         AOV passes to render.
     colour : ColourSources or None
         Images, patterns and vertex colors behind its color; None if it has a relief or a uniform color.
+    is_incomplete : bool
+        True if a texture is missing and was left out.
     """
 
     material: str
     reading: ShaderReading
     taps: tuple[Tap, ...]
     colour: ColourSources | None = None
+    is_incomplete: bool = False
 
 
-def instrument_slot(isolated: IsolatedObject, slot: int, where: str) -> SlotReading:
+def instrument_slot(isolated: IsolatedObject, slot: int, where: str, *, is_chosen: bool = False) -> SlotReading:
     """Replace the material in a slot by an unlit copy that outputs its shader values as AOVs.
 
-    `where` names the object and material in errors. Raises SceneError for a missing texture.
+    `where` names the object and material in errors. Raises SceneError for a missing texture that is needed: one of the
+    relief, or of the color if there is no relief; none is if the user chose the slot's haptic material (`is_chosen`).
     """
     slots = isolated.stand_in.material_slots
     no_material_note = (
@@ -205,14 +215,17 @@ def instrument_slot(isolated: IsolatedObject, slot: int, where: str) -> SlotRead
     copy = original.copy()
     graph = NodeGraph(copy)
     _prepare_textures(isolated, graph)
-    _check_images(graph, f"{where}, material '{original.name}'")
+    relief_images, other_images = _find_image_uses(graph)
+    missing_notes = _leave_out_missing(graph, f"{where}, material '{original.name}'", relief_images, is_chosen)
+    notes = (*missing_notes, *_read_as_data(relief_images, other_images))
     tapper = Tapper(graph, f"hnf{slot}_")
     colour = find_colour_sources(tapper)
     reading = read_shader(tapper)
+    reading = replace(reading, notes=(*notes, *reading.notes))
     _make_unlit(copy, graph)
     slots[slot].link = "OBJECT"
     slots[slot].material = copy
-    return SlotReading(original.name, reading, tuple(tapper.taps), colour)
+    return SlotReading(original.name, reading, tuple(tapper.taps), colour, bool(missing_notes))
 
 
 def _make_unlit(copy: Any, graph: NodeGraph) -> None:
@@ -241,27 +254,92 @@ def _prepare_textures(isolated: IsolatedObject, graph: NodeGraph) -> None:
             node.interpolation = "Cubic"  # bilinear interpolation leaves a pattern at the texel rate
 
 
-def _check_images(graph: NodeGraph, where: str) -> None:
-    """Raise SceneError for the first image that cannot be loaded, or that has unsaved paint.
+RELIEF_INPUTS = {
+    "ShaderNodeBump": "Height", "ShaderNodeDisplacement": "Height", "ShaderNodeNormalMap": "Color",
+    "ShaderNodeVectorDisplacement": "Vector",
+}  # fmt: skip
+"""Nodes that make a relief of a picture → their input for it."""
+NodeKey = tuple[str, str]
 
-    The render would read the file instead, and miss the paint.
+
+def _get_key(node: Any) -> NodeKey:
+    return node.id_data.name_full, node.name
+
+
+def _find_image_uses(graph: NodeGraph) -> tuple[dict[NodeKey, Any], set[NodeKey]]:
+    """Return the image nodes that a relief is made from, and the keys of those that anything else is made from."""
+    relief: dict[NodeKey, Any] = {}
+    other: set[NodeKey] = set()
+    if graph.output is None:
+        return relief, other
+    reached = {
+        _get_key(node): node for name in ("Surface", "Displacement")
+        for node in graph.upstream(graph.output.inputs[name])
+    }  # fmt: skip
+    for node in reached.values():
+        if node.bl_idname in RELIEF_INPUTS:
+            sources = list(graph.upstream(node.inputs[RELIEF_INPUTS[node.bl_idname]]))
+            relief |= {_get_key(source): source for source in sources if source.bl_idname == IMAGE_NODE}
+        elif any(output.type == "SHADER" for output in node.outputs):
+            sockets = (socket for socket in node.inputs if socket.type != "SHADER")
+            sources = [each for socket in sockets for each in graph.upstream(socket, frozenset(RELIEF_INPUTS))]
+            other |= {_get_key(source) for source in sources}
+    return relief, other
+
+
+def _read_as_data(relief_images: dict[NodeKey, Any], other_images: set[NodeKey]) -> list[str]:
+    """Let pictures of normals and heights that are tagged as colors be read as data; return notes on them.
+
+    A picture that is also seen as a color keeps its tag: its maker meant it as one.
     """
-    output = graph.output
-    if output is None:
-        return
-    for name in ("Surface", "Displacement"):
-        for node in graph.upstream(output.inputs[name]):
-            if node.bl_idname == IMAGE_NODE and node.image is not None:
-                if has_unsaved_paint(node.image):
-                    raise SceneError(
-                        f"its texture '{node.image.name}' was painted and is not saved.",
-                        where=where,
-                        remedy=UNSAVED_IMAGE_REMEDY,
-                    )
-                problem = explain_missing_image(node.image)
-                if problem is not None:
-                    raise SceneError(
-                        f"its texture '{node.image.name}' is not there: {problem}.",
-                        where=where,
-                        remedy="Bring the file back, or find it with File > External Data > Find Missing Files.",
-                    )
+    notes = []
+    for key, node in relief_images.items():
+        image = node.image
+        if key in other_images or image is None or image.colorspace_settings.is_data or image.is_float:
+            continue
+        copy = copy_as_data(image)
+        if copy is not None:
+            notes.append(
+                f"picture '{image.name}' gives a relief and is tagged {image.colorspace_settings.name}: it is read as "
+                "data. Set its Color Space to Non-Color, so that renders show it too."
+            )
+            node.image = copy
+    return notes
+
+
+def _leave_out_missing(
+    graph: NodeGraph, where: str, relief_images: dict[NodeKey, Any], is_chosen: bool
+) -> list[str]:
+    """Disconnect images that cannot be loaded and are not needed; return notes on them.
+
+    Raises SceneError for the first that is needed, or has unsaved paint, which the render would miss in the file.
+    """
+    if graph.output is None:
+        return []
+    upstream = (
+        node for name in ("Surface", "Displacement") for node in graph.upstream(graph.output.inputs[name])
+        if node.bl_idname == IMAGE_NODE and node.image is not None
+    )  # fmt: skip
+    nodes = {_get_key(node): node for node in upstream}
+    for node in nodes.values():
+        if has_unsaved_paint(node.image):
+            raise SceneError(
+                f"its texture '{node.image.name}' was painted and is not saved.",
+                where=where,
+                remedy=UNSAVED_IMAGE_REMEDY,
+            )
+    problems = {key: problem for key, node in nodes.items() if (problem := explain_missing_image(node.image))}
+    has_relief = bool(relief_images.keys() - problems.keys())
+    notes = []
+    for key, problem in problems.items():
+        node, kind = nodes[key], "relief" if key in relief_images else "color"
+        if not is_chosen and (kind == "relief" or not has_relief):
+            raise SceneError(
+                f"its texture '{node.image.name}' is not there: {problem}.",
+                where=where,
+                remedy=get_missing_remedy(node.image),
+            )
+        for link in [link for output in node.outputs for link in output.links]:
+            node.id_data.links.remove(link)
+        notes.append(f"{where}: its texture '{node.image.name}' is not there ({problem}), so that its {kind} is unknown.")
+    return notes

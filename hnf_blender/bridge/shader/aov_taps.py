@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .images import get_image_size, get_rounding_step
+from .images import COPIED_FROM, get_image_size, get_rounding_step
 from .node_graph import NodeGraph
 
 Float = NDArray[np.float64]
@@ -238,7 +238,7 @@ def tap_image(node: Any, tapper: Tapper, with_values: bool = False) -> ImageTap:
     texels = flat if node.projection == "FLAT" else (*flat, width * scale[2])
     step = get_rounding_step(node.image)
     values = tapper.tap_output(node.outputs["Color"], "COLOR") if with_values and step > 0.0 else None
-    return ImageTap(node.image.name, tap, texels, step, values, bool(node.image.colorspace_settings.is_data))
+    return ImageTap(str(node.image.get(COPIED_FROM, node.image.name)), tap, texels, step, values, bool(node.image.colorspace_settings.is_data))
 
 
 def compute_resolved_wavelength(sources: Iterable[ImageSourced], passes: Passes, mask: Mask, pixel_m: float) -> float:

@@ -22,6 +22,7 @@ from .aov_taps import (
     is_texel_limited,
     tap_image,
 )
+from .images import GREY_DIFFERENCE
 from .node_graph import NodeGraph
 
 Float = NDArray[np.float64]
@@ -285,8 +286,6 @@ def _rebuild_blue(node: Any, tapper: Tapper) -> Tap | None:
     return tapper.tap_output(source, "COLOR")
 
 
-GREY_DIFFERENCE = 2.5 / 255.0
-"""Difference of color channels up to which a picture is grey, or a channel constant."""
 LEAST_TILT_SQUARE = 1e-3
 """Mean square of x and y of normals [1] below which a map is flat, whatever its blue."""
 

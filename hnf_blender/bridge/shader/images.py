@@ -12,6 +12,7 @@ from typing import Any
 
 from hnf_core.errors import SceneError
 from hnf_core.files import content_hash
+from hnf_core.scene.file_kind import FileKind, identify
 
 from ... import compat
 from .node_graph import iter_nodes
@@ -179,6 +180,49 @@ def get_image_size(image: Any) -> tuple[int, int]:
     return int(image.size[0]), int(image.size[1])
 
 
+GREY_DIFFERENCE = 2.5 / 255.0
+"""Difference of color channels up to which a picture is grey, or a channel constant."""
+
+
+def is_grey(image: Any) -> bool:
+    """Return True if a picture has no colors; False for one without pixels."""
+    import numpy as np
+
+    if 0 in tuple(image.size):
+        return False
+    pixels = np.empty(len(image.pixels), dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    colours = pixels.reshape(-1, image.channels)[:, :3]
+    return bool(image.channels < 3 or np.ptp(colours, axis=1).max(initial=0.0) <= GREY_DIFFERENCE)
+
+
+def make_data_image(path: Path) -> Any:
+    """Return a new image of a file whose values are data, not colors; also of a file that is missing."""
+    import bpy
+
+    try:
+        image = bpy.data.images.load(str(path))
+    except RuntimeError:
+        image = bpy.data.images.new(path.name, 1, 1)
+        image.source, image.filepath = "FILE", str(path)
+    image.colorspace_settings.name = "Non-Color"
+    return image
+
+
+COPIED_FROM = "hnf_copied_from"
+"""ID property of a temporary copy of an image: the name of the original."""
+
+
+def copy_as_data(image: Any) -> Any:
+    """Return a copy of an image whose values are read as data; None if it has pixels in memory alone."""
+    if image.is_dirty or (image.source == "GENERATED" and not image.packed_files):
+        return None
+    copy = image.copy()
+    copy.colorspace_settings.name = "Non-Color"
+    copy[COPIED_FROM] = image.name
+    return copy
+
+
 def explain_missing_image(image: Any) -> str | None:
     """Explain why an image has no pixels ("PATH is missing"), or return None if it has.
 
@@ -189,8 +233,24 @@ def explain_missing_image(image: Any) -> str | None:
             if not path.is_file():
                 return f"{path} is missing"
     if image.source in {"FILE", "GENERATED"} and 0 in tuple(image.size):
-        return f"{image.filepath} cannot be read as a picture"
+        kind = _identify_unreadable(image)
+        what = "cannot be read as a picture" if kind is None else f"is {kind.what}, which cannot be read as a picture"
+        return f"{image.filepath} {what}"
     return None
+
+
+def get_missing_remedy(image: Any) -> str:
+    """Return what to do about an image without pixels."""
+    kind = _identify_unreadable(image)
+    if kind is None:
+        return "Bring the file back, or find it with File > External Data > Find Missing Files."
+    return kind.remedy
+
+
+def _identify_unreadable(image: Any) -> FileKind | None:
+    """Return what the file of an image is, if it is of a kind that Blender does not read as a picture."""
+    kind = identify(_read_image_start(image))
+    return None if kind is None or kind.suffix or "picture" in kind.what else kind
 
 
 def _get_tile_path(path: str, number: int) -> Path:
