@@ -318,7 +318,7 @@ def _is_stl(path: Path, head: bytes) -> bool:
     if len(head) < STL_HEADER_BYTES:
         return False
     (count,) = struct.unpack("<I", head[STL_HEADER_BYTES - 4 : STL_HEADER_BYTES])
-    return path.stat().st_size >= STL_HEADER_BYTES + STL_FACE_BYTES * count
+    return bool(path.stat().st_size >= STL_HEADER_BYTES + STL_FACE_BYTES * count)
 
 
 def _get_family(suffix: str) -> str:

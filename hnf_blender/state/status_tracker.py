@@ -34,7 +34,18 @@ EVERYTHING = "*"
 """Entry of STATE.dirty_names after an undo, a redo or a new file: everything may have changed."""
 STROKE_DATA_KINDS = frozenset({"Object", "Curve", "Action"})
 """Kinds of datablocks that a stroke consists of."""
-STROKE_SETTINGS = ("start", "force", "progress", "law", "speed_mm_s", "duration_s", "seed", "probe", "rides", "material")
+STROKE_SETTINGS = (
+    "start",
+    "force",
+    "progress",
+    "law",
+    "speed_mm_s",
+    "duration_s",
+    "seed",
+    "probe",
+    "rides",
+    "material",
+)
 """Settings of a stroke that scripts may change without a notification."""
 SETTINGS_PER_CHECK = 8
 """Number of strokes whose settings are compared per check."""

@@ -343,7 +343,10 @@ def bake_patches(
 
 @contextmanager
 def _open_renderer(
-    touched: TouchedObject, patches: Sequence[Patch], wait_for_threads: Callable[[], None], chosen_slots: Collection[int]
+    touched: TouchedObject,
+    patches: Sequence[Patch],
+    wait_for_threads: Callable[[], None],
+    chosen_slots: Collection[int],
 ) -> Iterator[Callable[[Patch], CloseUp]]:
     """Provide a function that renders any of the patches, from splats for a reconstructed surface, else by its shader.
 

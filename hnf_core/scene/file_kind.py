@@ -40,6 +40,8 @@ def _convert(what: str, how: str) -> FileKind:
     return FileKind(what, remedy=how)
 
 
+_UPGRADE = "Convert it to glTF 2.0 (gltf-pipeline -i FILE -o NEW.glb), or export it again."
+_PULL = "Run git lfs pull where it lies, or download the file itself."
 _PICTURE = "Give the scene that shows it."
 _TO_GLTF = "Export it as glTF or OBJ from the program that made it."
 _EXTRACT = "Unpack it, and give the scene file inside."
@@ -48,12 +50,11 @@ _BY_START: tuple[tuple[bytes, FileKind], ...] = (
     (b"PXR-USDC", FileKind("a USD file", ".usdc")),
     (b"#usda", FileKind("a USD file", ".usda")),
     (b"Kaydara FBX Binary", FileKind("an FBX file", ".fbx")),
-    (b"glTF\x01", _convert("glTF 1.0", "Convert it to glTF 2.0 (gltf-pipeline -i FILE -o NEW.glb), or export it again.")),
+    (b"glTF\x01", _convert("glTF 1.0", _UPGRADE)),
     (b"glTF", FileKind("a binary glTF file", ".glb")),
     (b"ply\n", FileKind("a PLY file", ".ply")),
     (b"ply\r", FileKind("a PLY file", ".ply")),
-    (b"version https://git-lfs", _convert("a Git LFS pointer, not the file itself", "Run git lfs pull where it lies, or "
-                                          "download the file itself.")),
+    (b"version https://git-lfs", _convert("a Git LFS pointer, not the file itself", _PULL)),
     (b"\xabKTX 20\xbb", _convert("a KTX2 texture", "Convert it to PNG (ktx extract FILE.ktx2 FILE.png).")),
     (b"\xabKTX 11\xbb", _convert("a KTX texture", "Convert it to PNG.")),
     (b"sB\x13", _convert("a Basis texture", "Convert it to PNG (basisu -unpack FILE.basis).")),

@@ -132,7 +132,9 @@ def test_a_picture_of_relief_tagged_as_a_colour_is_read_as_data(tmp_path, kind):
     counts.append(len(bpy.data.images))
     assert np.array_equal(tagged.height, data.height)
     notes = [note for note in tagged.notes if note not in data.notes]
-    assert len(notes) == 1 and f"'{kind}.png" in notes[0] and "tagged sRGB: it is read as data" in notes[0]
+    assert len(notes) == 1
+    assert f"'{kind}.png" in notes[0]
+    assert "tagged sRGB: it is read as data" in notes[0]
     assert counts[2] - counts[1] == counts[1] - counts[0]  # the copy that was read is gone
 
 
@@ -158,7 +160,8 @@ def test_a_missing_colour_costs_the_colour_alone():
     add_missing_colour(plane)
     after = look(plane)
     assert np.array_equal(after.height, before.height)
-    assert after.is_incomplete and not before.is_incomplete
+    assert after.is_incomplete
+    assert not before.is_incomplete
     assert [note for note in after.notes if "'gone'" in note and "its color is unknown" in note]
 
 
@@ -169,7 +172,8 @@ def test_a_chosen_material_needs_no_texture():
     with pytest.raises(SceneError, match=r"'normals_gone' is not there.*Find Missing Files"):
         look(plane)
     close = look(plane, chosen_slots={0})
-    assert close.height is None and close.is_incomplete
+    assert close.height is None
+    assert close.is_incomplete
     assert sum("is unknown" in note for note in close.notes) == 2
 
 

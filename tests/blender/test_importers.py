@@ -84,8 +84,13 @@ def test_every_format_imports_only_its_mesh_in_metres(ball_files: Path, kind: st
         assert [slot.name for slot in ball.material_slots] == ["Leather"]
 
 
-@pytest.mark.parametrize(("kind", "name"), [("glb", "ball.gltf"), ("gltf", "ball.json"), ("ply", "ball.obj"),
-                                            ("fbx", "ball"), ("blend", "ball.blend1"), ("glb", "ball.bin")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        *[("glb", "ball.gltf"), ("gltf", "ball.json"), ("ply", "ball.obj"), ("fbx", "ball")],
+        *[("blend", "ball.blend1"), ("glb", "ball.bin")],
+    ],
+)
 def test_content_counts_more_than_the_name(ball_files: Path, tmp_path: Path, kind: str, name: str) -> None:
     for file in ball_files.glob("ball.*"):
         shutil.copy(file, tmp_path)

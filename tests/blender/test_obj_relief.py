@@ -60,7 +60,9 @@ def make_by_hand(folder, kind: str, amount: float = 1.0):
     picture = tree.nodes.new("ShaderNodeTexImage")
     picture.image = bpy.data.images.load(str(folder / "p.png"))
     picture.image.colorspace_settings.name = "Non-Color"
-    node = tree.nodes.new({"bump": "ShaderNodeBump", "norm": "ShaderNodeNormalMap", "disp": "ShaderNodeDisplacement"}[kind])
+    node = tree.nodes.new(
+        {"bump": "ShaderNodeBump", "norm": "ShaderNodeNormalMap", "disp": "ShaderNodeDisplacement"}[kind]
+    )
     node.inputs[{"bump": "Distance", "norm": "Strength", "disp": "Scale"}[kind]].default_value = amount
     if kind == "bump":
         node.inputs["Strength"].default_value = 1.0
@@ -87,7 +89,8 @@ def test_a_statement_gives_the_relief_of_the_nodes_that_it_means(
     write_picture(tmp_path / "p.png", picture())
     wanted = look(make_by_hand(tmp_path, kind, amount), pixels=128)
     found = look(import_sheet(tmp_path, f"map_Kd p.png\n{statement}"), pixels=128)
-    assert found.height is not None and np.std(found.height) > 1e-6
+    assert found.height is not None
+    assert np.std(found.height) > 1e-6
     assert np.allclose(found.height, wanted.height, atol=1e-3 * np.ptp(wanted.height))
     assert not any("tagged" in note for note in found.notes)
 
@@ -102,7 +105,9 @@ def test_texture_coordinates_are_kept(stroke_properties, tmp_path):
 
 def test_a_missing_map_is_named(stroke_properties, tmp_path):
     sheet = import_sheet(tmp_path, "norm textures\\\\gone map.png")
-    image = next(node.image for node in sheet.data.materials[0].node_tree.nodes if node.bl_idname == "ShaderNodeTexImage")
+    image = next(
+        node.image for node in sheet.data.materials[0].node_tree.nodes if node.bl_idname == "ShaderNodeTexImage"
+    )
     assert image.filepath.endswith("gone map.png")
 
 

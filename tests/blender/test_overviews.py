@@ -84,6 +84,53 @@ def test_what_changed_between_two_views_is_seen(things, change):
     assert_equal(after, alone(LEFT, [ball, floor]))
 
 
+def black_emission(ball):
+    tree = ball.data.materials[0].node_tree
+    picture = tree.nodes.new("ShaderNodeTexImage")
+    picture.image = bpy.data.images.new("emission", 8, 8)
+    tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value = 1.0
+    tree.links.new(picture.outputs[0], tree.nodes["Principled BSDF"].inputs["Emission Color"])
+
+
+def lamp_that_looks_away(ball):
+    lamp = bpy.data.objects.new("Spot", bpy.data.lights.new("Spot", "SPOT"))
+    lamp.location, lamp.rotation_euler = (0, 0, 3), (np.pi, 0, 0)
+    bpy.context.scene.collection.objects.link(lamp)
+
+
+def white_emission(ball):
+    black_emission(ball)
+    ball.data.materials[0].node_tree.nodes["Image Texture"].image.generated_color = (1, 1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("light", "dark"), [(black_emission, True), (lamp_that_looks_away, True), (white_emission, False)]
+)
+def test_a_view_that_comes_out_black_is_lit_by_the_dome_and_says_so(things, light, dark):
+    ball, _ = things
+    plain, (unlit_note,) = render_overview(bpy.context.scene, LEFT, samples=2, objects=[ball])
+    light(ball)
+    view, notes = render_overview(bpy.context.scene, LEFT, samples=2, objects=[ball])
+    surface = np.isfinite(view.depth)
+    assert ("neutral dome" in "".join(notes)) == dark
+    assert unlit_note not in notes  # there is a light
+    assert view.rgb[surface].mean() > 0.5 * plain.rgb[surface].mean()
+
+
+def test_a_black_thing_in_the_light_stays_black_without_a_word():
+    thing = coloured(add_plane(size=9.0), (0, 0, 0))
+    tree = thing.data.materials[0].node_tree
+    diffuse = tree.nodes.new("ShaderNodeBsdfDiffuse")  # which reflects nothing at all
+    diffuse.inputs["Color"].default_value = (0, 0, 0, 1)
+    tree.links.new(diffuse.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
+    lamp = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    bpy.context.scene.collection.objects.link(lamp)
+    above = make_overview_camera([[0, 0, 0]], [0, -0.1, 1], 0.3, 32, 32)
+    view, notes = render_overview(bpy.context.scene, above, samples=2, objects=[thing])
+    assert notes == ()
+    assert view.rgb.max() < 0.01
+
+
 def test_views_allow_other_edits_and_leave_no_data(things):
     ball, floor = things
     before = datablock_names()

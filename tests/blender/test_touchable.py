@@ -79,7 +79,8 @@ def test_text_and_curve_reach_the_report_with_their_own_materials(stroke_propert
         (choice,) = stroke["materials"]
         assert choice["shader"] == stroke["material"]
         assert choice["library_material"] == stroke["library_material"]
-        assert choice["reason"] and 0.0 < choice["confidence"] <= 1.0
+        assert choice["reason"]
+        assert 0.0 < choice["confidence"] <= 1.0
 
 
 def test_everything_else_is_named_with_its_own_reason(stroke_properties, tmp_path):
@@ -156,7 +157,8 @@ def test_missing_library_is_named(stroke_properties, tmp_path):
     scene = save_scene(tmp_path / "scene.blend")
     library.unlink()
     code, report = touch(scene, tmp_path / "out")
-    assert code == 1 and not report
+    assert code == 1
+    assert not report
 
 
 def add_kit(count: int = 1, part_offset=(0.0, 0.0, 0.0)) -> list:

@@ -307,9 +307,7 @@ def _read_as_data(relief_images: dict[NodeKey, Any], other_images: set[NodeKey])
     return notes
 
 
-def _leave_out_missing(
-    graph: NodeGraph, where: str, relief_images: dict[NodeKey, Any], is_chosen: bool
-) -> list[str]:
+def _leave_out_missing(graph: NodeGraph, where: str, relief_images: dict[NodeKey, Any], is_chosen: bool) -> list[str]:
     """Disconnect images that cannot be loaded and are not needed; return notes on them.
 
     Raises SceneError for the first that is needed, or has unsaved paint, which the render would miss in the file.
@@ -341,5 +339,7 @@ def _leave_out_missing(
             )
         for link in [link for output in node.outputs for link in output.links]:
             node.id_data.links.remove(link)
-        notes.append(f"{where}: its texture '{node.image.name}' is not there ({problem}), so that its {kind} is unknown.")
+        notes.append(
+            f"{where}: its texture '{node.image.name}' is not there ({problem}), so that its {kind} is unknown."
+        )
     return notes

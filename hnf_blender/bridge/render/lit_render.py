@@ -128,7 +128,12 @@ class OverviewRenderer:
                 set_camera(temporary.scene, self._camera, camera, np.eye(4), self._metres)
                 temporary.evaluate(_get_frame(scene, frame))
             passes = render_passes(temporary)
-        depth = get_planar_depth(passes, self._metres)
+            depth = get_planar_depth(passes, self._metres)
+            if not notes and is_black(passes["Combined"][..., :3], np.isfinite(depth)):
+                temporary.scene.world = self._get_dome()
+                passes = render_passes(temporary)
+                if not is_black(passes["Combined"][..., :3], np.isfinite(depth)):  # else the surface itself is black
+                    notes = (BLACK_NOTE,)
         view = RgbdView(
             camera=camera,
             rgb=np.ascontiguousarray(passes["Combined"][..., :3]),
@@ -162,11 +167,14 @@ class OverviewRenderer:
         )
         if is_lit(self.temporary.scene):
             return ()
-        if self._dome is None:
-            add_dome(self.temporary.scene)
-            self._dome = self.temporary.scene.world
-        self.temporary.scene.world = self._dome
+        self.temporary.scene.world = self._get_dome()
         return ("the scene has no light: a neutral dome lights the picture.",)
+
+    def _get_dome(self) -> Any:
+        """Return the uniform white world, made when it is first needed."""
+        if self._dome is None:
+            self._dome = make_dome()
+        return self._dome
 
     def _use_scene_camera(self, frame: float | None) -> Camera:
         """Make the camera of the user's scene active in the temporary scene; return it as a Camera."""
@@ -290,8 +298,26 @@ def _number_names(
     return np.asarray(np.where(is_seen, numbers[index], 0), dtype=np.uint32)
 
 
+BLACK_NOTE = "none of the scene's light falls on what the picture shows: a neutral dome lights it."
+DARK = 2e-3
+"""Linear value below which a pixel is black on any screen (of sRGB: half a step of 8 bits)."""
+MIN_LIT_FRACTION = 0.01
+"""Fraction of a surface's pixels that must not be black in a lit view."""
+
+
+def is_black(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> bool:
+    """Return True if a linear image (H, W, 3) is black where it shows a surface (`mask`, (H, W)); False without any."""
+    lit = rgb[mask].max(axis=-1, initial=0.0) > DARK
+    return bool(len(lit) > 0 and lit.mean() < MIN_LIT_FRACTION)
+
+
 def add_dome(scene: Any) -> None:
     """Give a scene a uniform white world."""
+    scene.world = make_dome()
+
+
+def make_dome() -> Any:
+    """Return a new uniform white world."""
     import bpy
 
     world = bpy.data.worlds.new("hnf dome")
@@ -299,7 +325,7 @@ def add_dome(scene: Any) -> None:
     background = next(node for node in world.node_tree.nodes if node.bl_idname == "ShaderNodeBackground")
     background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     background.inputs["Strength"].default_value = DOME_STRENGTH
-    scene.world = world
+    return world
 
 
 def is_lit(scene: Any) -> bool:

@@ -156,8 +156,8 @@ def read_surface(obj: Any, depsgraph: Any, metres_per_unit: float) -> Surface:
     notes = (*notes, *describe_idle_modifiers(original, evaluated))
     step_m = get_coordinate_step(evaluated) * metres_per_unit
     if step_m > MAX_COORDINATE_STEP_M:
-        notes = (*notes, f"{where}: its coordinates are so far from 0 that they are rounded to steps of {step_m * 1e3:.2g} "
-                 "mm. Subtract the map's offset where it was made, and import it again.")  # fmt: skip
+        far = f"{where}: its coordinates are so far from 0 that they are rounded to steps of {step_m * 1e3:.2g} mm."
+        notes = (*notes, f"{far} Subtract the map's offset where it was made, and import it again.")
     names = tuple("" if material is None else material.name for material in materials)
     return Surface(original.name, triangles, rigid, stretch, source, names, notes)
 

@@ -238,7 +238,14 @@ def tap_image(node: Any, tapper: Tapper, with_values: bool = False) -> ImageTap:
     texels = flat if node.projection == "FLAT" else (*flat, width * scale[2])
     step = get_rounding_step(node.image)
     values = tapper.tap_output(node.outputs["Color"], "COLOR") if with_values and step > 0.0 else None
-    return ImageTap(str(node.image.get(COPIED_FROM, node.image.name)), tap, texels, step, values, bool(node.image.colorspace_settings.is_data))
+    return ImageTap(
+        str(node.image.get(COPIED_FROM, node.image.name)),
+        tap,
+        texels,
+        step,
+        values,
+        bool(node.image.colorspace_settings.is_data),
+    )
 
 
 def compute_resolved_wavelength(sources: Iterable[ImageSourced], passes: Passes, mask: Mask, pixel_m: float) -> float:

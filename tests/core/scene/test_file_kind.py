@@ -36,7 +36,8 @@ SCENES = {
 @pytest.mark.parametrize("name", SAMPLES)
 def test_what_cannot_be_opened_is_named_with_a_remedy(name):
     kind = identify(SAMPLES[name])
-    assert kind is not None and not kind.suffix
+    assert kind is not None
+    assert not kind.suffix
     assert name in kind.what
     assert kind.remedy.endswith(".")
 
@@ -44,7 +45,8 @@ def test_what_cannot_be_opened_is_named_with_a_remedy(name):
 @pytest.mark.parametrize("suffix", SCENES)
 def test_scenes_are_told_by_their_content(suffix):
     kind = identify(SCENES[suffix])
-    assert kind is not None and kind.suffix == suffix
+    assert kind is not None
+    assert kind.suffix == suffix
 
 
 @given(st.binary(max_size=HEAD_BYTES))
@@ -94,7 +96,7 @@ def test_gltf_1_is_named_in_either_form(tmp_path):
 
 def test_data_that_is_missing_or_stands_for_itself_is_named(tmp_path):
     path = write_gltf(tmp_path / "a.gltf", buffers=[{"uri": "data%20one.bin", "byteLength": 4}])
-    with pytest.raises(FileError, match="data file 'data one.bin' is missing"):
+    with pytest.raises(FileError, match=r"data file 'data one\.bin' is missing"):
         check_gltf(path)
     (tmp_path / "data one.bin").write_bytes(LFS)
     with pytest.raises(FileError, match=r"data file 'data one.bin' is a Git LFS pointer.*git lfs pull"):
@@ -124,7 +126,9 @@ JSON = st.recursive(
 def test_any_document_is_read_or_refused(tmp_path_factory, document):
     path = tmp_path_factory.getbasetemp() / "any.gltf"
     path.write_text(json.dumps(document))
+    refused = None
     try:
         check_gltf(path)
     except HnfError as error:
-        assert str(path) in str(error) and "\n" not in str(error)
+        refused = str(error)
+    assert refused is None or (str(path) in refused and "\n" not in refused)
