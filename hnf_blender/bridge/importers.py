@@ -18,7 +18,7 @@ from hnf_core.errors import FileError, SceneError
 from hnf_core.progress import ProgressCallback, ignore_progress
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.file_kind import identify, read_head
-from hnf_core.scene.gltf_document import check_gltf
+from hnf_core.scene.gltf_document import check_gltf, describe_unread, read_gltf_document
 from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, read_model_transforms
 from hnf_core.scene.ply import read_ply_header
 from hnf_core.scene.splats.io_ply import check_splat_file
@@ -165,6 +165,8 @@ def _make_camera_matrix(camera: Camera) -> Any:
 SCENE_SUFFIXES = (
     *(".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".stl", ".dae", ".json"),
 )
+IMPORT_NOTES = "hnf_import_notes"
+"""ID property of a scene: what could not be imported into it, one note a line."""
 SPLAT_SUFFIXES = (".splat", ".ksplat", ".spz", ".sog")
 # A curve may be a stroke, and an empty may instance a collection of meshes; lights and cameras cannot be touched.
 TOUCHABLE_TYPES = ("MESH", "SURFACE", "META", "FONT", "CURVE", "CURVES", "EMPTY")
@@ -239,6 +241,8 @@ def open_scene(
             show_vertex_colours(obj)
     if suffix == ".obj":
         restore_obj_relief(path)
+    if suffix in {".gltf", ".glb"} and (notes := describe_unread(read_gltf_document(path))):
+        scene[IMPORT_NOTES] = "\n".join(notes)
     return scene
 
 

@@ -25,6 +25,7 @@ from hnf_core.material.hnf_file import HNF_SUFFIX, MaterialFile
 from hnf_core.material.library import LIBRARY_PATH, get_material
 from hnf_core.touch_request import TouchRequest
 
+from ..bridge.importers import IMPORT_NOTES
 from ..bridge.scene.material_definition import get_artist_choice, is_height_authored
 from ..bridge.scene.meshes import (
     Surface,
@@ -627,7 +628,7 @@ def gather_curve_jobs(session: Session, curves: Iterable[Any]) -> GatheredJobs:
 
 def add_scene_notes(session: Session, gathered: GatheredJobs) -> None:
     """Add notes on objects that no stroke touches, and warnings about surfaces of implausible size."""
-    gathered.notes += session.get_unused_errors(gathered.failed)
+    gathered.notes += [*session.get_unused_errors(gathered.failed), *session.scene.get(IMPORT_NOTES, "").splitlines()]
     gathered.skipped += list(_iter_skipped(session, {job.object_name for job in gathered.jobs}))
     for name in dict.fromkeys(job.object_name for job in gathered.jobs):
         obj = find_object(session.scene, name)

@@ -96,6 +96,16 @@ def check_gltf(path: Path, supported: frozenset[str] = frozenset()) -> dict[str,
     return document
 
 
+def describe_unread(document: dict[str, Any]) -> list[str]:
+    """Return a note on each extension that a glTF document uses without need and that Blender's importer lacks."""
+    used = document.get("extensionsUsed")
+    return [
+        f"the file uses {name}, which Blender's importer lacks: what it shows that way is missing. {remedy}"
+        for name, remedy in UNREADABLE_EXTENSIONS.items()
+        if isinstance(used, list) and name in used
+    ]
+
+
 def is_splat_document(document: dict[str, Any]) -> bool:
     """Return True if a glTF document requires splats, or if any of its primitives is a cloud of them."""
     required = document.get("extensionsRequired")

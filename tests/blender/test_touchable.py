@@ -8,10 +8,11 @@ import pytest
 from builders import add_mesh, add_plane
 from touch_scene import save_scene, touch
 
+from hnf_blender.bridge.importers import open_scene
 from hnf_blender.bridge.scene import touchable
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.bridge.scene.touchable import realise_instances
-from hnf_blender.bridge.stroke.place_primitive import choose_default_slots, place_primitive
+from hnf_blender.bridge.stroke.place_primitive import choose_default_slots, list_touchable_slots, place_primitive
 from hnf_blender.bridge.stroke.read_stroke import read_stroke
 from hnf_blender.touch.session import gather_jobs, make_scene_session
 from hnf_core.action.contacts import find_contacts
@@ -231,3 +232,84 @@ def test_instances_of_geometry_nodes_are_touched_with_their_own_material(stroke_
     assert "'Ground' were realized" in note
     assert [(obj.name, name) for obj, _, name in choose_default_slots(bpy.context.scene)] == [("Ground", "Granite")]
     place_primitive(bpy.context.scene, ground, None, "default", 1.0)
+
+
+USD_HEAD = '#usda 1.0\n(\n defaultPrim = "World"\n metersPerUnit = 1\n upAxis = "Z"\n)\n'
+USD_TILE = """def Mesh "Tile" (
+ prepend apiSchemas = ["MaterialBindingAPI"]
+)
+{
+ int[] faceVertexCounts = [4]
+ int[] faceVertexIndices = [0, 1, 2, 3]
+ point3f[] points = [(0,0,0), (0.1,0,0), (0.1,0.1,0), (0,0.1,0)]
+ rel material:binding = <MATERIAL>
+}
+"""
+USD_INSTANCERS = {
+    "points": """def Xform "World"
+{
+def Material "Oak"
+{
+}
+def PointInstancer "Many"
+{
+ point3f[] positions = [(0,0,0), (1,0,0)]
+ int[] protoIndices = [0, 0]
+ rel prototypes = [</World/Many/Protos/Tile>]
+ def Scope "Protos"
+ {
+ TILE
+ }
+}
+}
+""".replace("TILE", USD_TILE.replace("MATERIAL", "/World/Oak")),
+    "scene": """def Xform "World"
+{
+def Xform "A" (
+ instanceable = true
+ references = </Proto>
+)
+{
+ double3 xformOp:translate = (0,2,0)
+ uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+def Xform "B" (
+ instanceable = true
+ references = </Proto>
+)
+{
+}
+}
+def Xform "Proto"
+{
+ def Material "Oak"
+ {
+ }
+ TILE
+}
+""".replace("TILE", USD_TILE.replace("MATERIAL", "/Proto/Oak")),
+}
+
+
+@pytest.mark.parametrize("kind", USD_INSTANCERS)
+def test_instanced_prims_of_usd_are_touched(stroke_properties, tmp_path, kind):
+    path = tmp_path / "instances.usda"
+    path.write_text(USD_HEAD + USD_INSTANCERS[kind])
+    scene = open_scene(path)
+    realise_instances(scene, scene.view_layers[0])
+    places = [obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world.translation.length
+              for obj, _, material in list_touchable_slots(scene) if material.startswith("Oak")]  # fmt: skip
+    assert sorted(places)[-1] == pytest.approx({"points": 1.0, "scene": 2.0}[kind])
+    assert not [why for why in skipped(tmp_path).values() if "instances" in why or "point cloud" in why]
+
+
+def test_a_material_whose_shader_was_not_imported_is_told(stroke_properties, tmp_path):
+    """As of MaterialX: the name is there and nothing else."""
+    plate = give(add_plane("Plate", SIZE), "Brass")
+    plate.data.materials[0].use_nodes = True
+    plate.data.materials[0].node_tree.nodes.clear()
+    code, report = touch(save_scene(tmp_path / "plate.blend"), tmp_path / "out")
+    assert code == 0
+    (stroke,) = report["strokes"]
+    assert stroke["library_material"] == "brass"
+    assert [note for note in report["warnings"] if "material 'Brass'" in note and "UsdPreviewSurface" in note]

@@ -218,6 +218,11 @@ def instrument_slot(isolated: IsolatedObject, slot: int, where: str, *, is_chose
     relief_images, other_images = _find_image_uses(graph)
     missing_notes = _leave_out_missing(graph, f"{where}, material '{original.name}'", relief_images, is_chosen)
     notes = (*missing_notes, *_read_as_data(relief_images, other_images))
+    if graph.output is None:
+        notes = (
+            f"{where}, material '{original.name}': its shader is empty, so that its name alone decides. MaterialX is not "
+            "imported by Blender: export a UsdPreviewSurface with it, or say what it is under Feels in the Touch tab.",
+        )
     tapper = Tapper(graph, f"hnf{slot}_")
     colour = find_colour_sources(tapper)
     reading = read_shader(tapper)

@@ -202,9 +202,11 @@ def _copy_instances(scene: Any, instances: list[tuple[Any, Any, Any]]) -> list[s
         copy.matrix_parent_inverse = instancer.matrix_world.inverted_safe() @ matrix
         copy.matrix_basis.identity()
         scene.collection.objects.link(copy)
-    for instancer in {instancer for _, instancer, _ in instances}:
-        if instancer.type == "EMPTY" and len(instances) <= MAX_COPIES:
-            instancer.instance_type = "NONE"  # else each would be shown twice
+    for instancer in {instancer for _, instancer, _ in instances} if len(instances) <= MAX_COPIES else ():
+        instancer.instance_type = "NONE"  # else each would be shown twice
+        for modifier in instancer.modifiers:  # of a point cloud or hair that shows meshes
+            modifier.show_viewport = modifier.show_render = False
+        instancer.hide_render = instancer.type != "EMPTY"
     if not instances:
         return []
     names = ", ".join(dict.fromkeys(f"'{instancer.name}'" for _, instancer, _ in instances[:8]))

@@ -85,7 +85,7 @@ def read_shader(tapper: Tapper) -> ShaderReading:
     """Add AOV outputs for the shading values and the micro-geometry to a material copy; return the reading."""
     output = tapper.graph.output
     if output is None:
-        return ShaderReading(None, MicroGeometry(), ("its node tree has no Material Output.",))
+        return ShaderReading(None, MicroGeometry(), ())
     notes: list[str] = []
     surface = tapper.graph.resolve(output.inputs["Surface"])
     layers = _read_layers(surface, tapper, notes, BSDFS) or _read_layers(surface, tapper, notes, EMISSIVE)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import FileError, HnfError, SceneError
 from hnf_core.scene.file_kind import HEAD_BYTES, identify
-from hnf_core.scene.gltf_document import UNREADABLE_EXTENSIONS, check_gltf, read_gltf_document
+from hnf_core.scene.gltf_document import UNREADABLE_EXTENSIONS, check_gltf, describe_unread, read_gltf_document
 
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12\n"
 SAMPLES = {
@@ -81,7 +81,9 @@ def test_extensions_that_blender_lacks_are_named_with_their_remedy(tmp_path, wri
         check_gltf(path)
     assert caught.value.remedy == UNREADABLE_EXTENSIONS[extension]
     check_gltf(path, frozenset({extension}))
-    check_gltf(write(tmp_path / "b", extensionsUsed=[extension]))  # needed by none
+    (note,) = describe_unread(check_gltf(write(tmp_path / "b", extensionsUsed=[extension])))  # needed by none
+    assert extension in note
+    assert UNREADABLE_EXTENSIONS[extension] in note
 
 
 def test_gltf_1_is_named_in_either_form(tmp_path):
