@@ -104,7 +104,7 @@ def write_stroke_files(
         picture_key=picture_key,
         likely=round_likely(main),
         along=_describe_patches(baked),
-        materials=[describe_choice(material) for material in baked.met_materials],
+        materials=[describe_choice(material) for material in baked.touched_materials],
         off_surface=round(baked.off_surface, 4),
     )
 
@@ -141,7 +141,7 @@ def _plot_stroke(
     write_stroke_figure(
         path, title=job.name, action=action, signal=signal, view=view,
         facts={
-            "Material": format_material_line(job.object_name, baked.met_materials),
+            "Material": format_material_line(job.object_name, baked.touched_materials),
             "Routes": facts["routes"],
             "Height": _format_height_line(facts["height_source"], get_resolved_wavelength(record)),
             "Confidence": f"{confidence:.0%} in the whole signal; probe: {baked.stroke.probe}",

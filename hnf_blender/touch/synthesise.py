@@ -133,7 +133,7 @@ class BakedStroke:
         return self.materials[self.main_patch]
 
     @property
-    def met_materials(self) -> list[SlotMaterial]:
+    def touched_materials(self) -> list[SlotMaterial]:
         """Every touched material, in the order in which the stroke meets them."""
         met = [self.materials[index] for index in dict.fromkeys(self.patch_index[self.patch_index >= 0].tolist())]
         return list({(material.shader, material.library.name): material for material in met}.values())

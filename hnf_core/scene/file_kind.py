@@ -1,4 +1,4 @@
-"""Tell what a file is by its first bytes, whatever its name says, and what to do about a kind that cannot be read."""
+"""Identify a file by its first bytes, whatever its name says, with a remedy for a kind that cannot be read."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DOWNLOAD = "Download the file itself."
 
 @dataclass(frozen=True)
 class FileKind:
-    """What a file is by its content.
+    """Kind of a file by its content.
 
     Attributes
     ----------

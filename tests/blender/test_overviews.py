@@ -106,7 +106,7 @@ def white_emission(ball):
 @pytest.mark.parametrize(
     ("light", "dark"), [(black_emission, True), (lamp_that_looks_away, True), (white_emission, False)]
 )
-def test_a_view_that_comes_out_black_is_lit_by_the_dome_and_says_so(things, light, dark):
+def test_a_black_view_is_lit_by_the_dome_and_says_so(things, light, dark):
     ball, _ = things
     plain, (unlit_note,) = render_overview(bpy.context.scene, LEFT, samples=2, objects=[ball])
     light(ball)

@@ -69,7 +69,7 @@ def test_what_blender_evaluates_to_a_mesh_is_touched(stroke_properties, add):
     assert contacts.on_surface.all()
 
 
-def test_text_and_curve_reach_the_report_with_their_own_materials(stroke_properties, tmp_path):
+def test_text_and_curve_are_reported_with_their_materials(stroke_properties, tmp_path):
     add_text((1, 0, 0))
     add_ring((0, 1, 0))
     code, report = touch(save_scene(tmp_path / "two.blend"), tmp_path / "out")
@@ -220,7 +220,7 @@ def scatter(ground, rock) -> None:
     ground.modifiers.new("Scatter", "NODES").node_group = group
 
 
-def test_instances_of_geometry_nodes_are_touched_with_their_own_material(stroke_properties, tmp_path):
+def test_instances_of_geometry_nodes_have_their_material(stroke_properties, tmp_path):
     rock = give(add_plane("Rock", SIZE), "Granite")
     rock.hide_render = True
     ground = give(add_plane("Ground", 1.0), "Sand")

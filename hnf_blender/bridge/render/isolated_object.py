@@ -220,8 +220,8 @@ def instrument_slot(isolated: IsolatedObject, slot: int, where: str, *, is_chose
     notes = (*missing_notes, *_read_as_data(relief_images, other_images))
     if graph.output is None:
         notes = (
-            f"{where}, material '{original.name}': its shader is empty, so that its name alone decides. MaterialX is not "
-            "imported by Blender: export a UsdPreviewSurface with it, or say what it is under Feels in the Touch tab.",
+            f"{where}, material '{original.name}': its shader is empty, so that its name alone decides. Blender "
+            "imports no MaterialX: export a UsdPreviewSurface with it, or say what it is under Feels in the Touch tab.",
         )
     tapper = Tapper(graph, f"hnf{slot}_")
     colour = find_colour_sources(tapper)

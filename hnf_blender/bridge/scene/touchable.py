@@ -1,4 +1,4 @@
-"""Which objects of a scene have a surface to touch, why the others have none, and instances made into objects.
+"""Objects of a scene that have a surface to touch, reasons why others have none, and instances made into objects.
 
 Blender evaluates text, curves, NURBS surfaces and metaballs to meshes, so that they are touched like meshes. Instances
 are no objects of the scene: `realise_instances` makes objects of them.
@@ -116,7 +116,7 @@ def _has_faces(evaluated: Any, depsgraph: Any) -> bool:
 
 @dataclass
 class _Instanced:
-    """What one object (the instancer) shows besides itself: number of instances, and their objects' names."""
+    """Instances that one object (the instancer) shows besides itself: number, and names of their objects."""
 
     count: int = 0
     names: dict[str, None] = field(default_factory=dict)

@@ -75,7 +75,7 @@ def test_both_forms_give_the_same_document(tmp_path, write):
 
 @pytest.mark.parametrize("write", [write_gltf, write_glb])
 @pytest.mark.parametrize("extension", UNREADABLE_EXTENSIONS)
-def test_extensions_that_blender_lacks_are_named_with_their_remedy(tmp_path, write, extension):
+def test_extensions_that_blender_lacks_have_a_remedy(tmp_path, write, extension):
     path = write(tmp_path / "a", extensionsRequired=[extension])
     with pytest.raises(FileError, match=extension) as caught:
         check_gltf(path)
