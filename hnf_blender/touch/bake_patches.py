@@ -244,7 +244,11 @@ class TouchedObject:
 
     def uses_splats(self, slot: int) -> bool:
         """Return True if a slot is rendered from splats; a relief of its shader takes precedence."""
-        return bool(self.splat_source) and not (slot < len(self.has_relief) and self.has_relief[slot])
+        return bool(self.splat_source) and not self.has_relief_at(slot)
+
+    def has_relief_at(self, slot: int) -> bool:
+        """Return True if the shader of a slot has nodes for a relief, whether it can be read or not."""
+        return slot < len(self.has_relief) and self.has_relief[slot]
 
 
 def compute_patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str:

@@ -138,12 +138,15 @@ def _plot_stroke(
 ) -> None:
     """Draw the plot of a stroke: rendered view, signal over time, facts and tactile map."""
     record, facts = baked.records[baked.main_patch], get_signal_facts(baked)
+    main_slot = baked.patches[baked.main_patch].slot
     write_stroke_figure(
         path, title=job.name, action=action, signal=signal, view=view,
         facts={
             "Material": format_material_line(job.object_name, baked.touched_materials),
             "Routes": facts["routes"],
-            "Height": _format_height_line(facts["height_source"], get_resolved_wavelength(record)),
+            "Height": _format_height_line(
+                facts["height_source"], get_resolved_wavelength(record), baked.touched.has_relief_at(main_slot)
+            ),
             "Confidence": f"{confidence:.0%} in the whole signal; probe: {baked.stroke.probe}",
         },
         tactile=get_widest_map(record),
@@ -194,8 +197,11 @@ def format_material_line(object_name: str, materials: Sequence[SlotMaterial]) ->
     return "; ".join(parts)
 
 
-def _format_height_line(source: str, resolved: float) -> str:
+def _format_height_line(source: str, resolved: float, has_relief: bool) -> str:
+    """Describe where a height comes from; `has_relief` is true if the shader has nodes for one, read or not."""
     if not np.isfinite(resolved):
+        if has_relief and not source:
+            return "the bump, normal or displacement in the shader shows no relief that can be read"
         nothing = "no bump, normal or displacement in the shader, no relief in the mesh that can be felt"
         return f"{source}: no wave that can be felt" if source else nothing
     return f"{source}; resolves waves from {resolved * 1e3:.2g} mm"

@@ -21,9 +21,10 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "touch",
         help=HELP["touch"],
-        description="Open SCENE (.blend .gltf .glb .obj .ply .usd .usda .usdc .usdz .fbx .stl .dae, nerfstudio's .json), "
-        "find or place strokes, and write one WAV and one picture per stroke, the baked .blend and report.json to DIR. "
-        "With no stroke in the scene or on the command line, one default stroke is placed on every touchable material.",
+        description="Open SCENE (.blend .gltf .glb .obj .ply .usd .usda .usdc .usdz .fbx .stl .dae, or the .json of "
+        "nerfstudio), find or place strokes, and write one WAV and one picture per stroke, the baked .blend and "
+        "report.json to DIR. With no stroke in the scene or on the command line, one default stroke is placed on every "
+        "touchable material.",
     )
     parser.add_argument(
         "scene",

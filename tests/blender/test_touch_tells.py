@@ -6,11 +6,14 @@ import re
 import shlex
 from pathlib import Path
 
+import bpy
 import numpy as np
 import pytest
+from builders import add_plane, float_image
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.cli import main
+from hnf_blender.touch import output_files
 from hnf_blender.touch.report import Report
 from hnf_blender.touch.run import format_closing
 from hnf_core.cli.commands import get_command_prefix
@@ -81,3 +84,24 @@ def test_nothing_touched_needs_no_closing_words() -> None:
 )
 def test_lines_to_paste_begin_as_the_person_began(first, words) -> None:
     assert get_command_prefix([first, "touch"]) == words
+
+
+@pytest.mark.parametrize("picture", ["grey", "none"])
+def test_a_picture_does_not_deny_an_unread_relief(stroke_properties, tmp_path, monkeypatch, picture):
+    plate = add_plane("Sheet", 0.05)
+    material = bpy.data.materials.new("Sheet")
+    material.use_nodes = True
+    plate.data.materials.append(material)
+    if picture == "grey":  # a height map in a Normal Map node
+        tree = material.node_tree
+        node, normal = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeNormalMap")
+        node.image = float_image("grey", np.random.default_rng(1).uniform(0.2, 0.4, (64, 64, 1)).repeat(3, axis=2))
+        tree.links.new(node.outputs[0], normal.inputs["Color"])
+        tree.links.new(normal.outputs[0], tree.nodes["Principled BSDF"].inputs["Normal"])
+    told = []
+    monkeypatch.setattr(output_files, "write_stroke_figure", lambda path, *, facts, **_: told.append(facts))
+    touch(save_scene(tmp_path / "sheet.blend"), tmp_path / "out")
+    (facts,) = told
+    denied = "no bump, normal or displacement in the shader" in facts["Height"]
+    assert denied == (picture == "none")
+    assert ("shows no relief that can be read" in facts["Height"]) == (picture == "grey")
