@@ -169,9 +169,7 @@ def _prepare(request: TouchRequest) -> _Prepared:
     cache = None if request.out is None else request.out / CACHE_FOLDER_NAME
     scene = open_named_scene("touch", request.scene, cache, write_cache=not request.plan_only)
     opened = time.monotonic()
-    view_layer = _get_view_layer(scene)
-    instance_notes = realise_instances(scene, view_layer)
-    session = Session(scene, view_layer, get_metres_per_unit(scene, request.metres_per_unit), request)
+    session, instance_notes = _make_session(scene, request)
     gathered = skip_strokes(session) if request.has_only_queries else gather_jobs(session)
     gathered.notes += instance_notes
     if request.plan_only:
@@ -286,10 +284,13 @@ def touch_strokes(
     )
 
 
-def _get_view_layer(scene: Any) -> Any:
+def _make_session(scene: Any, request: TouchRequest) -> tuple[Session, list[str]]:
+    """Make objects of a scene's instances; return its session, and notes on instances that stay as they are."""
     import bpy
 
-    return bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
+    view_layer = bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
+    notes = realise_instances(scene, view_layer)
+    return Session(scene, view_layer, get_metres_per_unit(scene, request.metres_per_unit), request), notes
 
 
 def open_named_scene(verb: str, path: Path | None, cache: Path | None = None, *, write_cache: bool = True) -> Any:

@@ -182,7 +182,7 @@ def _bake(request: TouchRequest) -> list[BakedStroke]:
     from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME, bake_strokes
 
     cli._register_properties()
-    session = touch_run._make_session(touch_run.open_named_scene("touch", request.scene), request)
+    session, _ = touch_run._make_session(touch_run.open_named_scene("touch", request.scene), request)
     gathered = gather_jobs(session)
     report = touch_run._new_report(session, gathered, [])
     bakes: list[BakedStroke] = []
