@@ -52,7 +52,7 @@ def _start_blender(verb: str, scene: Path | None) -> None:
     if importlib.util.find_spec("bpy") is None:
         raise HnfError(
             f"{verb} needs Blender, and this Python has no bpy.",
-            remedy=f"Install it (pip install bpy==5.0.1, Python 3.11), or run: blender -b --command hnf {verb} …",
+            remedy=f"Install it (pip install bpy, Python 3.11 or 3.13), or run: blender -b --command hnf {verb} …",
         )
     if scene is not None:
         from .bridge.importers import check_scene_file

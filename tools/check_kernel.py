@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import build_kernel
-from build_kernel import PLATFORMS, SOURCE_FOLDER
+from kernel.setup import COMPILE_S, PLATFORMS, SOURCE_FOLDER, detect_platform
 
 CHECK_SOURCE = Path(__file__).with_suffix(".c")
 MAX_RUN_S = 120
@@ -41,7 +41,7 @@ def run_check(name: str, folder: Path, runner: list[str]) -> dict[str, str]:
         str(CHECK_SOURCE),
     ]
     command += ["-o", str(program), *([] if platform.suffix == ".dll" else ["-ldl", "-lm"])]
-    subprocess.run(command, check=True, timeout=build_kernel.COMPILE_S, env=os.environ | build_kernel.CACHE)
+    subprocess.run(command, check=True, timeout=COMPILE_S, env=os.environ | build_kernel.CACHE)
     outputs = {}
     for library, _ in platform.processors:
         words = [*runner, str(program), f"{library}{platform.suffix}"]
@@ -65,7 +65,7 @@ def main() -> int:
     chosen = parser.parse_args()
     with TemporaryDirectory() as folder:
         try:
-            expected = run_check(build_kernel.detect_platform(), Path(folder), [])
+            expected = run_check(detect_platform(), Path(folder), [])
             actual = run_check(chosen.platform, Path(folder), shlex.split(chosen.runner))
         except (build_kernel.KernelError, subprocess.SubprocessError, OSError) as error:
             print(error, file=sys.stderr)

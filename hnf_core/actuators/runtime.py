@@ -29,7 +29,7 @@ def import_optional(module: str) -> Any:
     except ImportError as error:
         raise DeviceError(
             f"the Python package '{package}' is not installed.",
-            remedy=f"Install it: pip install {package} (all of them: pip install 'hnf[device]').",
+            remedy=f"Install it: pip install {package} (all of them: pip install pyserial sounddevice python-osc).",
         ) from error
     except OSError as error:  # sounddevice without PortAudio
         raise DeviceError(

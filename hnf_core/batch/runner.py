@@ -204,7 +204,7 @@ def check_workers(client: Any, folder: str, run: str, version: str, paths: Seque
     except Exception as error:  # Any exception of a worker is raised here.
         raise HnfError(
             f"hnf does not run on every worker ({error!r}).",
-            remedy="Install this version of hnf[batch] on each machine.",
+            remedy="Install this version of hnf, and dask distributed, on each machine.",
         ) from error
     for worker, reason in reasons.items():
         if reason != "":
@@ -262,7 +262,7 @@ def _import_dask() -> tuple[Any, Any]:
     except ImportError as error:
         raise HnfError(
             f"batch needs dask.distributed ({error}).",
-            remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[batch]'.",
+            remedy="In a checkout: make env-test; elsewhere: pip install dask distributed.",
         ) from error
     for name in [name for name in logging.root.manager.loggerDict if name.partition(".")[0] == "distributed"]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # The batch reports outcomes itself.

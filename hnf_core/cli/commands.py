@@ -130,7 +130,7 @@ def require_torch(what: str) -> Iterator[None]:
     except ImportError as error:
         raise HnfError(
             f"{what} needs torch ({error}).",
-            remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[train]'.",
+            remedy="In a checkout: make env-test; elsewhere: pip install torch scipy pillow.",
         ) from error
 
 

@@ -99,7 +99,7 @@ def refuse_scene(scene: Path, provenance: Mapping[str, str], object_name: str | 
     """Raise a UsageError; used for --scene where Blender, which alone can open a scene, is not running."""
     raise UsageError(
         f"{scene} can be opened with Blender alone, and this Python has no bpy.",
-        remedy="Install it (pip install bpy==5.0.1, Python 3.11), or run: blender -b --command hnf export …",
+        remedy="Install it (pip install bpy, Python 3.11 or 3.13), or run: blender -b --command hnf export …",
     )
 
 

@@ -156,7 +156,7 @@ def load_field_for_encoders(encoders: Iterable[str]) -> Field:
         raise WeightsError(
             "the field that knows every make of E is not part of the Blender extension.",
             where=str(EVERY_ENCODER_WEIGHTS),
-            remedy=f"Choose {ENCODER_ID}, or install hnf outside Blender: pip install from its source.",
+            remedy=f"Choose {ENCODER_ID}, or use hnf outside Blender: pip install . in its source.",
         )
     field = load_field(EVERY_ENCODER_WEIGHTS)
     check_encoders(field, names, str(EVERY_ENCODER_WEIGHTS))

@@ -1,0 +1,1 @@
+"""Compiled inner loops of hnf_core.kernel, which loads them."""
