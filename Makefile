@@ -1,4 +1,4 @@
-# make demo | test | test-app | docs | extension | repository | assets | lint | clean | clean-env
+# make demo | test | test-app | docs | extension | repository | release | assets | lint | clean | clean-env
 # (Linux, Python 3.11; sets everything up)
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -8,18 +8,19 @@ SHELL := /bin/bash
 PYTHON ?= $(shell for p in python3.11 /usr/bin/python3.11 /usr/local/bin/python3.11 python3; do \
   "$$p" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null && { echo "$$p"; break; }; done)
 VENV := .venv/bin
-PLATFORM ?= linux-x64
+PLATFORM ?=
 
-.PHONY: help demo test test-app docs extension repository assets lint python env-demo env-test env-matrix clean clean-env
+.PHONY: help demo test test-app docs extension repository release assets lint python env-demo env-test env-matrix clean clean-env
 
 help:
 	@echo 'make demo       set up, build the demo scene, touch it: build/demo'
 	@echo 'make test       set up, lint, types, all tests on bpy 5.0, 4.5 and 4.2'
 	@echo 'make test-app   tests in a real, windowed Blender in a Debian chroot (root)'
 	@echo 'make docs       the docs as a site, links checked: build/site'
-	@echo 'make extension  the add-on as installable zips: dist; for other machines than Linux:'
-	@echo '               PLATFORM=windows-x64, macos-arm64 or macos-x64'
+	@echo 'make extension  the add-on as installable zips for every Blender since 4.2: dist; for one system'
+	@echo '               alone: PLATFORM=linux-x64, windows-x64, macos-arm64 or macos-x64'
 	@echo 'make repository an extension repository that Blender updates from: dist/repository'
+	@echo 'make release    tests, then wheels, zips, sums: dist/hnf-VERSION; docs/releasing.md'
 	@echo 'make assets     the asset library that comes with the add-on: hnf_blender/assets'
 	@echo 'make clean      delete build and dist;  make clean-env  delete the environments too'
 
@@ -58,10 +59,14 @@ lint: env-test
 	$(VENV)/mypy
 
 extension: env-demo
-	$(VENV)/python tools/build_extension.py --platform $(PLATFORM) --python 3.11 --python 3.13
+	$(VENV)/python tools/build_extension.py $(addprefix --platform ,$(PLATFORM))
 
 repository: env-demo
 	$(VENV)/python tools/build_repository.py
+
+release: test
+	$(VENV)/python tools/build_release.py
+	$(VENV)/python tools/check_install.py dist/hnf-$$($(VENV)/hnf --version | cut -d ' ' -f 2)
 
 # With the oldest Blender: later ones read its files, it does not read theirs.
 assets: env-matrix

@@ -1,6 +1,6 @@
 """Build the Blender extension: dist/hnf-VERSION-PLATFORM-pyXY.zip, checked by Blender's own validator.
 
-    .venv/bin/python tools/build_extension.py [--python 3.11]… [--platform linux-x64]… [--out dist]
+    .venv/bin/python tools/build_extension.py [--python 3.11]… [--platform linux-x64]… [--out dist]     default: all
 
 The extension's root is hnf_blender, with hnf_core inside it. An extension is the package `bl_ext.REPOSITORY.hnf`, and
 Blender warns of any module outside that name, so `from hnf_core.x import y` becomes a relative import. The manifest's
@@ -291,12 +291,13 @@ def build(target: Target, out: Path, staging: Path = STAGING, version: str = "")
 def main(arguments: list[str] | None = None) -> int:
     """Build every Python × platform that is named; returns 1 with a clear message where one fails."""
     parser = argparse.ArgumentParser(description="Build the Blender extension.")
-    parser.add_argument("--python", action="append", metavar="X.Y", help="Python of Blender (default 3.11)")
-    parser.add_argument("--platform", action="append", metavar="NAME", help="Blender's platform (default linux-x64)")
+    parser.add_argument("--python", action="append", metavar="X.Y", help="Python of Blender (default: all)")
+    parser.add_argument("--platform", action="append", metavar="NAME", help="Blender's platform (default: all)")
     parser.add_argument("--out", type=Path, default=ROOT / "dist", metavar="DIR")
     chosen = parser.parse_args(arguments)
-    for platform in chosen.platform or ["linux-x64"]:
-        for python in chosen.python or ["3.11"]:
+    source = read_source()
+    for platform in chosen.platform or source["platforms"]:
+        for python in chosen.python or source["python"]:
             try:
                 path = build(Target(python, platform), chosen.out)
             except BuildError as error:

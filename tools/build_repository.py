@@ -19,8 +19,6 @@ from typing import Any
 
 from build_extension import ROOT, BuildError, Target, build, read_source, run_blender_tool
 
-PYTHONS = ("3.11", "3.13")
-"""Python versions of Blender 4.2 to 5.0, and of 5.1 and later."""
 OUT = ROOT / "dist" / "repository"
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -83,13 +81,14 @@ def publish_zips(zips: list[Path], out: Path) -> dict[str, Any]:
 def main(arguments: list[str] | None = None) -> int:
     """Build every Python × platform, then the index; returns 1 with a clear message where something fails."""
     parser = argparse.ArgumentParser(description="Build an extension repository.")
-    parser.add_argument("--python", action="append", metavar="X.Y", help=f"default {' '.join(PYTHONS)}")
+    parser.add_argument("--python", action="append", metavar="X.Y", help="Python of Blender (default: all)")
     parser.add_argument("--platform", action="append", metavar="NAME", help="Blender's platform (default: all)")
     parser.add_argument("--out", type=Path, default=OUT, metavar="DIR")
     chosen = parser.parse_args(arguments)
     try:
-        platforms = chosen.platform or list(read_source()["platforms"])
-        targets = [Target(python, platform) for platform in platforms for python in chosen.python or PYTHONS]
+        source = read_source()
+        platforms, pythons = chosen.platform or source["platforms"], chosen.python or source["python"]
+        targets = [Target(python, platform) for platform in platforms for python in pythons]
         index = publish_zips([build(target, chosen.out) for target in targets], chosen.out)
     except BuildError as error:
         print(error, file=sys.stderr)

@@ -17,7 +17,9 @@ set -euo pipefail
 repo=$(cd "$(dirname "$0")/.." && pwd)
 root=${HNF_CHROOT:-$repo/build/chroot}
 suites=${HNF_CHROOT_SUITES:-sid trixie} # sid: Blender 5.2 LTS; trixie: 4.3.2, where sid cannot be installed
-mirror=${HNF_DEBIAN_MIRROR:-http://deb.debian.org/debian}
+# The archive that this Debian installs from; elsewhere empty, and debootstrap takes its own default.
+system_archive() { apt-get indextargets --format '$(ORIGIN) $(SITE)' 2>/dev/null | awk '$1 == "Debian" {print $2; exit}'; }
+mirror=${HNF_DEBIAN_MIRROR:-$(system_archive || true)}
 # Debian's blender misses cattr, requests and numpy among its dependencies: without them its extension system does not
 # register and add-ons find no numpy.
 packages="blender python3-cattr python3-requests python3-numpy python3-zstandard xvfb xauth xdotool scrot imagemagick libgl1-mesa-dri libegl1 libegl-mesa0 libglx-mesa0 fonts-dejavu-core"
@@ -73,7 +75,7 @@ build() {
     mkdir -p "$work"
     # unshare: debootstrap mounts proc and sys itself; they go away with the namespace.
     timeout 900 unshare --mount --propagation private \
-        debootstrap --variant=minbase "$suite" "$work" "$mirror" >"$root/$suite.log" 2>&1 || return 1
+        debootstrap --variant=minbase "$suite" "$work" ${mirror:+"$mirror"} >"$root/$suite.log" 2>&1 || return 1
     local file
     for file in /etc/resolv.conf /etc/hosts /etc/ssl/certs/ca-certificates.crt; do
         [ -e "$file" ] && install -D -m 644 "$(readlink -f "$file")" "$work$file"
@@ -120,7 +122,7 @@ case "$verb" in
             echo "chroot: Debian $suite failed; the end of $root/$suite.log:" >&2
             tail -n 5 "$root/$suite.log" >&2 || true
         done
-        unavailable "no Debian suite of '$suites' could be installed from $mirror"
+        unavailable "no Debian suite of '$suites' could be installed${mirror:+ from $mirror}"
         ;;
     path) find_built ;;
     run)
