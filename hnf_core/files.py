@@ -204,6 +204,32 @@ def _try_lock(stream: IO[str]) -> bool:
     return True
 
 
+_LFS_HEAD = b"version https://git-lfs.github.com/spec/"
+_KINDS = {
+    b"ID3": "but an MP3", b"\xff\xfb": "but an MP3", b"OggS": "but an Ogg file", b"fLaC": "but a FLAC file",
+    b"FORM": "but an AIFF file", b"caff": "but a CAF file", b"RIFX": "but a big-endian RIFX file",
+    b"PK\x03\x04": "but a zip archive", b"\x1f\x8b": "but a gzip archive", b"<": "but a web page or XML",
+    b"{": "but JSON",
+}  # fmt: skip
+
+
+def refuse_pointer(data: bytes, path: Path) -> None:
+    """Raise FileError if the bytes of a file are a Git LFS pointer, which stands in for the file."""
+    if data.startswith(_LFS_HEAD):
+        raise FileError(
+            "is a Git LFS pointer, and not the file itself.",
+            where=str(path),
+            remedy=f"In its repository, run: git lfs pull --include '*{path.name}'",
+        )
+
+
+def describe_content(data: bytes) -> str:
+    """Return in a few words what the bytes of a file of another kind are, told from their beginning."""
+    if not data:
+        return "but an empty one"
+    return next((words for head, words in _KINDS.items() if data.lstrip().startswith(head)), "as its first bytes show")
+
+
 NPZ_ERRORS: tuple[type[Exception], ...] = (
     OSError,
     EOFError,

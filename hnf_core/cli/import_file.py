@@ -46,6 +46,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         help=f"of what is rendered (default {DEFAULT_RENDER_RATE_HZ:g}); samples keep their own",
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="draws where the sine starts (default 0)")
+    parser.add_argument(
+        "--channel", type=int, metavar="N", help="which channel of a file that has several, from 1"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser
 
@@ -55,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_output(arguments.out, ".wav", arguments.file)
     form = format_of_file(arguments.file) if arguments.format is None else format_of(arguments.format)
     full_scale, range_hz = get_scale(arguments)
-    options = ImportOptions(full_scale, range_hz, arguments.rate, arguments.seed)
+    options = ImportOptions(full_scale, range_hz, arguments.rate, arguments.seed, arguments.channel)
     signal = import_signal(arguments.file, options, form)
     write_wav(arguments.out, signal)
     notes = tuple(f"{name}: {signal.provenance[name]}" for name in REPORTED_PROVENANCE if name in signal.provenance)

@@ -21,7 +21,7 @@ from .formats import Format, format_of_file
 from .gltf import GENERATOR, MAX_READ_BYTES, decode_glb
 from .hjif import get_mesh_path, has_path
 from .json_reader import read_limited_bytes
-from .options import ExportOptions, ImportOptions, choose_render_rate
+from .options import ExportOptions, ImportOptions, choose_render_rate, require_samples
 from .provenance import get_sidecar_path, is_sidecar, write_sidecar
 
 
@@ -181,4 +181,4 @@ def import_signal(path: Path, options: ImportOptions, form: Format | None = None
 
     Raises FileError if the file is damaged, UsageError if the suffix is unknown or an option is missing.
     """
-    return (form or format_of_file(path)).read(path, options)
+    return require_samples((form or format_of_file(path)).read(path, options), str(path))

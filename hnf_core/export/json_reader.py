@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FileError
-from ..files import write_bytes
+from ..files import refuse_pointer, write_bytes
 
 MAX_JSON_BYTES = 32 * 2**20
 """Largest file [bytes]: a quarter of an hour of control points every 5 ms; a stroke takes kilobytes."""
@@ -41,10 +41,10 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises FileError if the file exceeds `MAX_JSON_BYTES`, is not UTF-8 or not JSON (NaN and Infinity are not), is
     nested too deeply for Python, or holds no object.
     """
+    data = read_limited_bytes(path, MAX_JSON_BYTES)
+    refuse_pointer(data, path)
     try:
-        value = json.loads(
-            read_limited_bytes(path, MAX_JSON_BYTES).decode("utf-8-sig"), parse_constant=_refuse_constant
-        )
+        value = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
     except UnicodeDecodeError as error:
         raise FileError("is no UTF-8 text.", where=str(path), remedy="Save it as UTF-8.") from error
     except (ValueError, RecursionError) as error:

@@ -64,12 +64,15 @@ class ImportOptions:
         Sample rate of signals rendered from envelopes [Hz]; samples keep their own.
     seed : int
         Seed of signals rendered from envelopes.
+    channel : int or None
+        Which channel is read, counted from 1; None for a file that has but one.
     """
 
     full_scale_m_s2: float | None = None
     range_hz: tuple[float, float] | None = None
     rate_hz: float = DEFAULT_RENDER_RATE_HZ
     seed: int = 0
+    channel: int | None = None
 
     def __post_init__(self) -> None:
         _check_scale_and_range(
@@ -108,6 +111,13 @@ def get_finite_samples(signal: Signal, where: str) -> NDArray[np.float32]:
             remedy="Check the stroke's keyframes and the material's values for NaN or infinity.",
         )
     return samples
+
+
+def require_samples(signal: Signal, where: str) -> Signal:
+    """Return the signal; raise FileError if it is empty. Every verb that reads a signal for use asks here."""
+    if len(signal.samples) == 0:
+        raise FileError("has no samples.", where=where, remedy="Record or export it again.")
+    return signal
 
 
 def choose_render_rate(signal: Signal, range_hz: tuple[float, float]) -> float:

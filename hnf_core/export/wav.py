@@ -32,17 +32,25 @@ from numpy.typing import NDArray
 from .. import __version__
 from ..errors import FileError
 from ..field.resampling import resample
-from ..files import write_atomically, write_bytes
+from ..files import describe_content, refuse_pointer, write_atomically, write_bytes
 from ..signal import Signal
 from .envelope import format_clipped
-from .options import MAX_FULL_SCALE_M_S2, MIN_FULL_SCALE_M_S2, ExportOptions, ImportOptions, get_finite_samples
+from .options import MAX_FULL_SCALE_M_S2, MIN_FULL_SCALE_M_S2, ExportOptions, ImportOptions, get_finite_samples, require_samples
 
 UNITS = "m/s^2"
 SCHEMA = 1
 _PCM, _IEEE_FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 _MAX_UINT32 = 2**32 - 1
-_UNKNOWN_SIZE = _MAX_UINT32
-"""Size of a chunk whose writer did not know it in advance, for example a pipe."""
+_MIN_UNTOLD_SIZE = 2**31 - 4096
+"""Least size of a data chunk that stands for an unknown one where the file is shorter.
+
+Writers that cannot return to the header leave 0xFFFFFFFF (ffmpeg), 0x7FFFF000 (SoX) or 2³¹ less the header (arecord);
+one that is killed leaves 0 (Python's wave, GStreamer).
+"""
+_CHUNK_TAGS = (b"fact", b"LIST", b"cue ", b"bext", b"smpl", b"id3 ", b"ID3 ", b"PEAK", b"JUNK", b"iXML", b"inst", b"data")
+"""Chunks that may follow an empty data chunk; anything else there are samples whose size was never filled in."""
+_FRAMES_PER_BLOCK = 2**16
+UNTOLD_SIZE = "its header never told how long it is, so all that follows counts as samples"
 
 
 def write_wav(path: Path, signal: Signal) -> None:
@@ -152,13 +160,15 @@ def _encode_header(signal: Signal, count: int, where: str, channels: int = 1) ->
     return b"RIFF" + struct.pack("<I", len(body) + size) + body
 
 
-def read_wav(path: Path) -> Signal:
-    """Read a mono WAV: one of this project, or any PCM (8, 16, 24, 32 bit) or float (32, 64 bit) file.
+def read_wav(path: Path, channel: int | None = None) -> Signal:
+    """Read one channel of a WAV: one of this project, or any PCM (8, 16, 24, 32 bit) or float (32, 64 bit) file.
 
     Parameters
     ----------
     path : Path
-        File to read.
+        File to read: RIFF, or RF64 and BW64 with sizes of 64 bits.
+    channel : int or None
+        Channel, counted from 1; None for a file that has but one.
 
     Returns
     -------
@@ -169,10 +179,11 @@ def read_wav(path: Path) -> Signal:
     Raises
     ------
     FileError
-        If the file is missing, damaged or compressed, has several channels, or holds samples that are not finite.
+        If the file is missing, damaged or compressed, has several channels and none is chosen, or holds samples that
+        are not finite.
     """
     path = Path(path)
-    return decode_wav(_read_file(path), path)
+    return decode_wav(_read_file(path), path, channel)
 
 
 def read_wav_channels(path: Path) -> tuple[Signal, ...]:
@@ -190,46 +201,47 @@ def _read_file(path: Path) -> bytes:
         ) from error
 
 
-def decode_wav(data: bytes, path: Path) -> Signal:
-    """Decode the bytes of a mono WAV as `read_wav` does; `path` is only for messages."""
-    signals = decode_wav_channels(data, path)
-    if len(signals) != 1:
+def decode_wav(data: bytes, path: Path, channel: int | None = None) -> Signal:
+    """Decode the bytes of a WAV as `read_wav` does; `path` is only for messages."""
+    signals = decode_wav_channels(data, path, channel)
+    if len(signals) > 1:
         raise FileError(
-            f"has {len(signals)} channels, a vibration has one.", where=str(path), remedy="Export one channel as mono."
+            f"has {len(signals)} channels, a vibration has one.",
+            where=str(path),
+            remedy=f"Choose one: hnf import {path.name} --channel 1 --out ONE.wav",
         )
     return signals[0]
 
 
-def decode_wav_channels(data: bytes, path: Path) -> tuple[Signal, ...]:
-    """Decode the bytes of a WAV as `read_wav_channels` does."""
-    if len(data) < 12 or data[:4] != b"RIFF" or data[8:12] != b"WAVE":
-        raise FileError("is not a RIFF/WAVE file.", where=str(path), remedy="Give a .wav file.")
-    format_chunk: bytes | None = None
-    data_chunk: bytes | None = None
-    info: dict[str, str] = {}
-    for tag, body in _iter_chunks(data[12:], str(path)):
-        if tag == b"fmt " and format_chunk is None:
-            format_chunk = body
-        elif tag == b"data" and data_chunk is None:
-            data_chunk = body
-        elif tag == b"LIST" and body[:4] == b"INFO":
-            info = {name.decode("latin-1"): _decode_text(text) for name, text in _iter_chunks(body[4:], str(path))}
-    if format_chunk is None or data_chunk is None:
-        raise _damaged_error(path, "it has no " + ("fmt" if format_chunk is None else "data") + " chunk")
-    if len(format_chunk) < 16:
+def decode_wav_channels(data: bytes, path: Path, channel: int | None = None) -> tuple[Signal, ...]:
+    """Decode the bytes of a WAV as `read_wav_channels` does; of one `channel`, counted from 1, if it is given."""
+    kind = data[:4]
+    if len(data) < 12 or kind not in (b"RIFF", b"RF64", b"BW64") or data[8:12] != b"WAVE":
+        refuse_pointer(data, path)
+        raise FileError(
+            f"is not a RIFF/WAVE file, {describe_content(data)}.", where=str(path), remedy="Give a .wav file."
+        )
+    chunks, untold = _find_chunks(memoryview(data), path)
+    if b"fmt " not in chunks or b"data" not in chunks:
+        raise _damaged_error(path, "it has no " + ("data" if b"fmt " in chunks else "fmt") + " chunk")
+    if len(chunks[b"fmt "]) < 16:
         raise _damaged_error(path, "its fmt chunk is too short")
-    rate, samples = _decode_samples(format_chunk, data_chunk, path)
+    rate, samples = _decode_samples(bytes(chunks[b"fmt "]), chunks[b"data"], path, untold, channel)
+    info = dict(_iter_info_texts(bytes(chunks.get(b"LIST", b""))))
     record = _parse_comment(info.get("ICMT", ""))
     seed, provenance = 0, {"units": "as stored", "source": path.name}
     if record is not None:
         seed, provenance = record.seed, record.provenance
         if record.scale != 1.0:
-            samples = np.asarray(samples * record.scale, dtype=np.float32)
+            with np.errstate(over="ignore"):
+                samples = np.asarray(samples * np.float32(record.scale), dtype=np.float32)
     elif info.get("ICMT"):
         provenance["comment"] = info["ICMT"]
+    if untold:
+        provenance["assumed"] = UNTOLD_SIZE
     if not np.isfinite(samples).all():
         raise _damaged_error(path, "some samples are not finite")
-    return tuple(Signal(channel, float(rate), seed, provenance) for channel in samples)
+    return tuple(Signal(values, float(rate), seed, provenance) for values in samples)
 
 
 def encode_info_chunk(signal: Signal, scale: float = 1.0) -> bytes:
@@ -262,25 +274,60 @@ def _encode_chunk(tag: bytes, body: bytes) -> bytes:
     return tag + struct.pack("<I", len(body)) + body + b"\0" * (len(body) % 2)
 
 
-def _iter_chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
-    """Yield tag and body of each chunk.
+def _find_chunks(data: memoryview, path: Path) -> tuple[dict[bytes, memoryview], bool]:
+    """Return the first chunk of each tag (of LIST that with INFO), and whether the size of the samples was unknown.
 
-    Fewer than 8 trailing bytes are ignored, as most readers do. A data chunk whose size was never filled in, as by a
-    writer into a pipe, extends to the end.
+    Nothing beyond the size that RIFF states is read, and of a damaged chunk that holds neither format nor samples only
+    what is there. In RF64, the chunk ds64 has the sizes that do not fit 32 bits.
     """
-    at = 0
-    while at + 8 <= len(data):
-        tag, size = data[at : at + 4], struct.unpack_from("<I", data, at + 4)[0]
-        body = data[at + 8 : at + 8 + size]
-        if len(body) < size and not (tag == b"data" and size == _UNKNOWN_SIZE):
+    end, at = len(data), 12
+    stated = struct.unpack_from("<I", data, 4)[0]
+    long_data = None
+    if data[:4] == b"RIFF" and 36 <= stated < min(end - 8, _MIN_UNTOLD_SIZE):
+        end = stated + 8
+    chunks: dict[bytes, memoryview] = {}
+    while at + 8 <= end:
+        tag, size = bytes(data[at : at + 4]), struct.unpack_from("<I", data, at + 4)[0]
+        if tag == b"ds64" and size >= 24 and end - at >= 32:
+            long_data = struct.unpack_from("<Q", data, at + 16)[0]
+        if tag == b"data" and size == _MAX_UINT32 and long_data is not None:
+            size = long_data
+        start = at + 8
+        if tag == b"data":
+            is_unknown = size >= _MIN_UNTOLD_SIZE and start + size > len(data)
+            # An empty chunk of samples at the end, or before another chunk, is empty indeed.
+            never_filled = size == 0 and start < len(data) and bytes(data[start : start + 4]) not in _CHUNK_TAGS
+            if is_unknown or never_filled:
+                chunks.setdefault(tag, data[start:])
+                return chunks, True
+        if start + size > len(data) and tag in (b"fmt ", b"data"):
             name = tag.decode("latin-1").strip()
-            raise _damaged_error(Path(where), f"chunk '{name}' should hold {size} bytes and {len(body)} are there")
-        yield tag, body
+            raise _damaged_error(path, f"chunk '{name}' should hold {size} bytes and {len(data) - start} are there")
+        if tag != b"LIST" or bytes(data[start : start + 4]) == b"INFO":
+            chunks.setdefault(tag, data[start : start + size])
+        at = start + size + size % 2
+    return chunks, False
+
+
+def _iter_info_texts(body: bytes) -> Iterator[tuple[str, str]]:
+    """Yield name and text of each entry of a LIST/INFO chunk, up to the first that is damaged."""
+    at = 4
+    while at + 8 <= len(body):
+        size = struct.unpack_from("<I", body, at + 4)[0]
+        if at + 8 + size > len(body):
+            return
+        yield body[at : at + 4].decode("latin-1"), _decode_text(body[at + 8 : at + 8 + size])
         at += 8 + size + size % 2
 
 
-def _decode_samples(format_chunk: bytes, data_chunk: bytes, path: Path) -> tuple[int, NDArray[np.float32]]:
-    """Return the sample rate and the samples (channels, n) of a WAV's fmt and data chunks."""
+def _decode_samples(
+    format_chunk: bytes, data_chunk: memoryview, path: Path, untold: bool, channel: int | None
+) -> tuple[int, NDArray[np.float32]]:
+    """Return the sample rate and the samples (channels, n) of a WAV's fmt and data chunks.
+
+    `untold` tells that the size of data was unknown, so that an unfinished sample at its end is left out. One `channel`
+    alone is decoded if it is given. Beside the file only the samples of the result are held.
+    """
     encoding, channels, rate, _, block, bits = struct.unpack_from("<HHIIHH", format_chunk)
     if encoding == _EXTENSIBLE and len(format_chunk) >= 26:
         encoding = struct.unpack_from("<H", format_chunk, 24)[0]
@@ -295,25 +342,36 @@ def _decode_samples(format_chunk: bytes, data_chunk: bytes, path: Path) -> tuple
             remedy="Convert it to PCM or 32-bit float.",
         )
     size = bits // 8
+    if untold and block:
+        data_chunk = data_chunk[: len(data_chunk) - len(data_chunk) % block]
     if block != channels * size or len(data_chunk) % block:
         raise _damaged_error(path, "its data does not divide into whole samples")
-    if encoding == _IEEE_FLOAT:
-        with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses samples that are not finite
-            return rate, _deinterleave(np.frombuffer(data_chunk, f"<f{size}").astype(np.float32), channels)
-    if bits == 8:
-        values = np.frombuffer(data_chunk, np.uint8).astype(np.float64) - 128.0
-    elif bits == 24:
-        padded = np.zeros((len(data_chunk) // 3, 4), np.uint8)
-        padded[:, 1:] = np.frombuffer(data_chunk, np.uint8).reshape(-1, 3)
-        values = (padded.view("<i4")[:, 0] >> 8).astype(np.float64)
-    else:
-        values = np.frombuffer(data_chunk, f"<i{size}").astype(np.float64)
-    return rate, _deinterleave((values / 2.0 ** (bits - 1)).astype(np.float32), channels)
-
-
-def _deinterleave(samples: NDArray[np.float32], channels: int) -> NDArray[np.float32]:
-    """Reorder interleaved samples to (channels, n)."""
-    return samples[None] if channels == 1 else np.ascontiguousarray(samples.reshape(-1, channels).T)
+    if channel is not None and not 1 <= channel <= channels:
+        raise FileError(
+            f"has {channels} channel{'s' if channels > 1 else ''}, and no channel {channel}.",
+            where=str(path), remedy=f"Give --channel 1{f' … {channels}' if channels > 1 else ''}.",
+        )  # fmt: skip
+    chosen = range(channels) if channel is None else (channel - 1,)
+    count = len(data_chunk) // block
+    samples = np.empty((len(chosen), count), np.float32)
+    scale = np.float32(2.0 ** (1 - bits))
+    for row, number in enumerate(chosen):
+        for first in range(0, count, _FRAMES_PER_BLOCK):
+            last = min(count, first + _FRAMES_PER_BLOCK)
+            raw = np.frombuffer(data_chunk[first * block : last * block], np.uint8)
+            raw = raw.reshape(-1, channels, size)[:, number]
+            with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses samples that are not finite
+                if encoding == _IEEE_FLOAT:
+                    samples[row, first:last] = np.ascontiguousarray(raw).view(f"<f{size}")[:, 0]
+                elif bits == 8:
+                    samples[row, first:last] = (raw[:, 0].astype(np.float32) - 128.0) * scale
+                elif bits == 24:
+                    padded = np.zeros((len(raw), 4), np.uint8)
+                    padded[:, 1:] = raw
+                    samples[row, first:last] = (padded.view("<i4")[:, 0] >> 8) * scale
+                else:
+                    samples[row, first:last] = np.ascontiguousarray(raw).view(f"<i{size}")[:, 0] * np.float64(scale)
+    return rate, samples
 
 
 @dataclass(frozen=True)
@@ -392,7 +450,7 @@ def write_pcm16_wav(path: Path, signal: Signal, rate_hz: float, options: ExportO
 
 def read_wav_with_units(path: Path) -> Signal:
     """Read a WAV that states its unit. Raises FileError for one that does not, and for a damaged one."""
-    signal = read_wav(path)
+    signal = require_samples(read_wav(path), str(path))
     if signal.provenance.get("units") == UNSTATED_UNITS:
         raise FileError(
             "states no unit, so that nobody knows how strong it is.",
@@ -407,7 +465,7 @@ def read_wav_scaled(path: Path, options: ImportOptions) -> Signal:
 
     Raises FileError for a file without a unit if `options` has no full scale, and if the file is damaged.
     """
-    signal = read_wav(path)
+    signal = read_wav(path, options.channel)
     if signal.provenance.get("units") != UNSTATED_UNITS:
         return signal
     if options.full_scale_m_s2 is None:
@@ -417,7 +475,7 @@ def read_wav_scaled(path: Path, options: ImportOptions) -> Signal:
             remedy=f"Say how many {UNITS} a sample of 1.0 stands for: --full-scale 30 (1 for a float file in m/s²).",
         )
     with np.errstate(over="ignore"):
-        samples = (signal.samples.astype(np.float64) * options.full_scale_m_s2).astype(np.float32)
+        samples = signal.samples * np.float32(options.full_scale_m_s2)
     if not np.isfinite(samples).all():
         raise FileError("its samples are beyond all measure.", where=str(path), remedy="Give a smaller full scale.")
     facts = {**signal.provenance, "units": UNITS, "scale": f"1 = {options.full_scale_m_s2:g} m/s² (told)"}
