@@ -9,7 +9,7 @@ stays within 0 … 1. Keys that are not Apple's are ignored, so Metadata may hol
 Apple states no maximum number of points per curve. The 16 used here, and the square-root law from amplitude to
 intensity and from frequency to sharpness, are those of the one published converter (github.com/Lofelt/NiceVibrations,
 `core/datamodel/src/ios/v1.rs`). That converter writes the times of control points from the start of the pattern,
-against Apple's documentation, which is followed here.
+against Apple's documentation, which the writer here follows; the reader takes whichever origin the file uses.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from .envelope import (
     compute_envelope,
     count_clipped,
     denormalise_frequency,
+    extend_to_clicks,
     format_clipped,
     normalise_frequency,
-    render_envelope,
     select_control_points,
     select_frequency_points,
     separate_equal_times,
@@ -42,7 +42,7 @@ from .envelope import (
 from .haptic import DROPPED
 from .json_reader import JsonReader, read_json, write_json
 from .options import ExportOptions, ImportOptions
-from .provenance import SOFTWARE, Provenance, encode_provenance, make_rendered_provenance, parse_provenance
+from .provenance import SOFTWARE, EnvelopeFile, Provenance, encode_provenance, make_rendered_provenance, parse_provenance
 
 MAX_EVENT_S = 30.0
 MAX_POINTS_PER_CURVE = 16
@@ -55,6 +55,8 @@ MAX_TIME_S = 10_000.0
 MAX_EVENTS = 20_000
 MAX_IGNORED_LISTED = 8
 MAX_PARAMETER_VALUE = 1e30
+SAME_TIME_S = 1e-3
+"""Largest distance between two times of a file that are meant to be the same [s]."""
 EDGE_RAMP_S = 1e-9
 PAUSE_RAMP_S = 1e-3
 MIN_DURATION_WITH_CLICKS_S = 4.0 * PAUSE_RAMP_S
@@ -63,8 +65,8 @@ _DIGITS = 6
 
 Curve = tuple[Float, Float]
 """Times and values of control points, interpolated linearly."""
-Pause = tuple[float, float, float, float]
-"""Start, click time and end of a pause [s], and the click's amplitude [m/s²]."""
+Pause = tuple[float, float, list[tuple[float, Emphasis]]]
+"""Start and end of a pause [s], and its clicks with the times at which they are written."""
 
 
 def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
@@ -80,6 +82,14 @@ def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
         raise FileError("an empty signal makes no pattern.", where=str(path), remedy="Give one with samples in it.")
     clicks = signal.duration_s > MIN_DURATION_WITH_CLICKS_S
     envelope = compute_envelope(signal, options.range_hz, separate_clicks=clicks, where=str(path))
+    return DROPPED + store_ahap(path, envelope, signal, options)
+
+
+def store_ahap(path: Path, envelope: Envelope, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
+    """Write an envelope as `.ahap`, with the origin of `signal`; return a sentence on values that were clipped.
+
+    Raises FileError as `write_ahap`.
+    """
     pattern, clipped = encode_pattern(envelope, options)
     if sum("Event" in entry for entry in pattern) > MAX_EVENTS:
         why = f"{len(envelope.emphases)} clicks make more than the {MAX_EVENTS} events of a pattern that is read again."
@@ -90,57 +100,64 @@ def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
         "Description": encode_provenance(signal, options),
     }
     write_json(path, {"Version": 1.0, "Metadata": metadata, "Pattern": pattern})
-    return DROPPED + format_clipped(clipped, options)
+    return format_clipped(clipped, options)
 
 
 def encode_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[str, Any]], int]:
     """Return the entries of an AHAP pattern, and the number of values above full scale.
 
-    AHAP curves apply to clicks (transient events) too. During a click the continuous event therefore pauses and the
-    intensity curve is 1; the sharpness there is that of the curve.
+    AHAP curves apply to clicks (transient events) too. During a click the continuous event therefore pauses, the
+    intensity curve is 1 and the sharpness curve 0.
     """
     intensity = np.sqrt(np.clip(envelope.amplitude / options.full_scale_m_s2, 0.0, 1.0))
     relative_frequency = np.clip(normalise_frequency(envelope.frequency, options.range_hz), 0.0, 1.0)
     pauses = _find_pauses(envelope)
-    edges = [0.0, *(border for start, _, stop, _ in pauses for border in (start, stop)), envelope.duration_s]
+    edges = [0.0, *(border for start, stop, _ in pauses for border in (start, stop)), envelope.duration_s]
     entries: list[dict[str, Any]] = []
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         entries += _iter_continuous_events(round(start, _DIGITS), round(stop, _DIGITS))
-    time, paused = _raise_in_pauses(envelope.time, intensity, pauses)
+    time, paused = _set_in_pauses(envelope.time, intensity, pauses, 1.0)
     entries += _iter_curves(
         INTENSITY, time, paused, select_control_points(time, paused, options.error * float(intensity.max()))
     )
-    entries += _iter_curves(SHARPNESS, envelope.time, np.sqrt(relative_frequency), select_frequency_points(envelope))
-    for _, at, _, amplitude in pauses:
-        level = min(1.0, amplitude / options.full_scale_m_s2) ** 0.5
-        entries.append(_make_event("HapticTransient", round(at, _DIGITS), level, 0.0))
+    points = select_frequency_points(envelope)
+    time, sharpness = _set_in_pauses(envelope.time[points], np.sqrt(relative_frequency[points]), pauses, 0.0)
+    entries += _iter_curves(SHARPNESS, time, sharpness, np.arange(len(time)))
+    for at, emphasis in (click for _, _, clicks in pauses for click in clicks):
+        level = min(1.0, emphasis.amplitude / options.full_scale_m_s2) ** 0.5
+        tone = float(np.clip(normalise_frequency(emphasis.frequency_hz, options.range_hz), 0.0, 1.0)) ** 0.5
+        entries.append(_make_event("HapticTransient", round(at, _DIGITS), level, tone))
     return entries, count_clipped(envelope, options)
 
 
 def _find_pauses(envelope: Envelope) -> list[Pause]:
-    """Return a pause of the continuous event for every click within the signal.
+    """Return the pauses of the continuous event in which the clicks lie; close ones share a pause.
 
-    Clicks in the last `PAUSE_RAMP_S` / 2 get none.
+    Clicks in the last `PAUSE_RAMP_S` are written at its start.
     """
     end, half = envelope.duration_s, 0.5 * EMPHASIS_DURATION_S
-    pauses = []
+    pauses: list[Pause] = []
     for emphasis in envelope.emphases:
         click_s = min(emphasis.time_s, end - PAUSE_RAMP_S)
         start = click_s - half if click_s - half > PAUSE_RAMP_S else 0.0
-        pauses.append((start, click_s, min(click_s + half, end - 0.5 * PAUSE_RAMP_S), emphasis.amplitude))
+        stop = min(click_s + half, end - 0.5 * PAUSE_RAMP_S)
+        if pauses and start < pauses[-1][1] + PAUSE_RAMP_S:
+            pauses[-1] = pauses[-1][0], max(stop, pauses[-1][1]), [*pauses[-1][2], (click_s, emphasis)]
+        else:
+            pauses.append((start, stop, [(click_s, emphasis)]))
     return pauses
 
 
-def _raise_in_pauses(time: Float, value: Float, pauses: list[Pause]) -> Curve:
-    """Set a curve to 1 during each pause, except for a ramp of `PAUSE_RAMP_S` / 4 inside both ends.
+def _set_in_pauses(time: Float, value: Float, pauses: list[Pause], height: float) -> Curve:
+    """Set a curve to `height` during each pause, except for a ramp of `PAUSE_RAMP_S` / 4 inside both ends.
 
     `time` and `value` (k,) are the curve's control points.
     """
     outside = np.ones(len(time), bool)
     times, values = [], []
-    for start, _, stop, _ in pauses:
+    for start, stop, _ in pauses:
         edges = np.array([start, start + 0.25 * PAUSE_RAMP_S, stop - 0.25 * PAUSE_RAMP_S, stop])
-        heights = np.array([np.interp(start, time, value), 1.0, 1.0, np.interp(stop, time, value)])
+        heights = np.array([np.interp(start, time, value), height, height, np.interp(stop, time, value)])
         if start == 0.0:
             edges, heights = edges[1:] * [0, 1, 1], heights[1:]
         # Points closer than this margin could get equal times by rounding.
@@ -167,13 +184,19 @@ def read_ahap(path: Path, options: ImportOptions) -> Signal:
     Of overlapping continuous events the strongest counts. Attack, decay, release, audio, and parameters that jump are
     not rendered; they are listed in provenance["ignored"]. Raises FileError if the file is damaged.
     """
+    return load_ahap(path, options).render(options.rate_hz, options.seed, str(path))
+
+
+def load_ahap(path: Path, options: ImportOptions) -> EnvelopeFile:
+    """Read the pattern of an AHAP file as an envelope, up to the end of its last click; see `read_ahap`."""
     record = read_json(path)
     metadata = record.get("Metadata")
     origin = parse_provenance(metadata.get("Description") if isinstance(metadata, dict) else None, options)
     envelope, ignored = decode_pattern(record, origin, path)
-    samples = render_envelope(envelope, options.rate_hz, options.seed, where=str(path))
-    facts = make_rendered_provenance(origin, path.name, ignored, _list_assumptions(record["Pattern"]))
-    return Signal(samples, options.rate_hz, options.seed, facts)
+    assumed = _list_assumptions(record["Pattern"])
+    if not origin.stated and (origin_of_points := _describe_origin(record["Pattern"])):
+        assumed += (origin_of_points,)
+    return EnvelopeFile(envelope, origin, make_rendered_provenance(origin, path.name, ignored, assumed))
 
 
 def decode_pattern(record: dict[str, Any], origin: Provenance, path: Path) -> tuple[Envelope, tuple[str, ...]]:
@@ -186,6 +209,7 @@ def decode_pattern(record: dict[str, Any], origin: Provenance, path: Path) -> tu
     events: list[tuple[float, float, float, float]] = []
     clicks: list[tuple[float, float, float]] = []
     curves: dict[str, list[Curve]] = {INTENSITY: [], SHARPNESS: []}
+    from_pattern = _counts_from_pattern(reading.get_array(record, "Pattern"))
     ignored: set[str] = set()
     for entry in reading.get_array(record, "Pattern"):
         if not isinstance(entry, dict):
@@ -212,7 +236,7 @@ def decode_pattern(record: dict[str, Any], origin: Provenance, path: Path) -> tu
             curve = reading.get_object(entry, "ParameterCurve")
             name = str(curve.get("ParameterID"))
             if name in curves:
-                curves[name].append(_read_curve(reading, curve, -1.0 if name == SHARPNESS else 0.0))
+                curves[name].append(_read_curve(reading, curve, -1.0 if name == SHARPNESS else 0.0, from_pattern))
             else:
                 ignored.add(f"curves of {name:.40}")
         else:
@@ -226,7 +250,9 @@ def decode_pattern(record: dict[str, Any], origin: Provenance, path: Path) -> tu
     remainder = (
         (f"and {len(ignored_names) - MAX_IGNORED_LISTED} more",) if len(ignored_names) > MAX_IGNORED_LISTED else ()
     )
-    return _combine_events(events, clicks, control, origin), (*ignored_names[:MAX_IGNORED_LISTED], *remainder)
+    envelope = _combine_events(events, clicks, control, origin)
+    # A signal of this project ends where it ended, and whatever else with its last click.
+    return envelope if origin.stated else extend_to_clicks(envelope), (*ignored_names[:MAX_IGNORED_LISTED], *remainder)
 
 
 def _combine_events(
@@ -256,6 +282,16 @@ def _combine_events(
         level[first:last] = np.where(stronger, event_intensity, level[first:last])
         sharpness_values[first:last] = np.where(stronger, event_sharpness, sharpness_values[first:last])
 
+    if origin.stated:
+        # Where this project's writer paused for a click, the vibration goes on below it.
+        for stop, start in _find_bridges(events, clicks):
+            kept = (time <= stop + 0.5 * EDGE_RAMP_S) | (time >= start + 0.5 * EDGE_RAMP_S)
+            kept[0] = stop > 0.0
+            time, level, sharpness_values = time[kept], level[kept], sharpness_values[kept]
+            if stop == 0.0:
+                time = np.append(0.0, time)
+                level, sharpness_values = (np.append(values[0], values) for values in (level, sharpness_values))
+
     def to_amplitude_and_frequency(at: Any, intensity: Any, sharpness: Any) -> tuple[Any, Any]:
         scaled_intensity = np.clip(intensity * np.interp(at, *control[INTENSITY]), 0.0, 1.0)
         scaled_sharpness = np.clip(sharpness + np.interp(at, *control[SHARPNESS]), 0.0, 1.0)
@@ -270,6 +306,18 @@ def _combine_events(
         *to_amplitude_and_frequency(time, level, sharpness_values),
         tuple(Emphasis(*map(float, values)) for values in emphases),
     )
+
+
+def _find_bridges(
+    events: list[tuple[float, float, float, float]], clicks: list[tuple[float, float, float]]
+) -> Iterator[tuple[float, float]]:
+    """Yield end and start of the continuous events around each pause that holds a click, at the beginning 0."""
+    times = np.sort([at for at, _, _ in clicks])
+    stop = 0.0
+    for start, next_stop, _, _ in sorted(events):
+        if start > stop and np.searchsorted(times, stop) < np.searchsorted(times, start, side="right"):
+            yield stop, start
+        stop = max(stop, next_stop)
 
 
 def _read_parameters(reading: JsonReader, event: dict[str, Any], ignored: set[str]) -> tuple[float, float]:
@@ -299,16 +347,46 @@ def _list_assumptions(pattern: list[Any]) -> tuple[str, ...]:
     )
 
 
-def _read_curve(reading: JsonReader, curve: dict[str, Any], lowest: float) -> Curve:
+def _iter_starts(pattern: list[Any]) -> Iterator[tuple[float, float]]:
+    """Yield the start of each curve that begins later than the pattern, and the time of its first control point."""
+    for entry in pattern:
+        curve = entry.get("ParameterCurve") if isinstance(entry, dict) else None
+        rows = curve.get("ParameterCurveControlPoints") if isinstance(curve, dict) else None
+        first = rows[0].get("Time") if isinstance(rows, list) and rows and isinstance(rows[0], dict) else None
+        start = curve.get("Time") if isinstance(curve, dict) else None
+        if isinstance(start, int | float) and isinstance(first, int | float) and start > SAME_TIME_S:
+            yield start, first
+
+
+def _counts_from_pattern(pattern: list[Any]) -> bool:
+    """Return whether the control points' times count from the start of the pattern instead of that of their curve.
+
+    They do if every curve that starts late has its first point at its own start, and none at 0: so Lofelt Studio, Meta
+    Haptics Studio and NiceVibrations write them.
+    """
+    starts = list(_iter_starts(pattern))
+    return bool(starts) and all(abs(first - start) <= SAME_TIME_S for start, first in starts)
+
+
+def _describe_origin(pattern: list[Any]) -> str:
+    """Return which origin of the control points' times was taken; "" if no curve starts late."""
+    if not any(True for _ in _iter_starts(pattern)):
+        return ""
+    if _counts_from_pattern(pattern):
+        return "times of control points from the start of the pattern, as Lofelt and Meta Haptics Studio write them"
+    return "times of control points from the start of their curve, as Apple documents"
+
+
+def _read_curve(reading: JsonReader, curve: dict[str, Any], lowest: float, from_pattern: bool) -> Curve:
     """Read an AHAP parameter curve, with its times counted from the start of the pattern.
 
-    Values are clipped to `lowest` … 1.
+    Values are clipped to `lowest` … 1; `from_pattern` tells that the file counts so itself.
     """
     start = reading.get_number(curve, "Time", 0.0, MAX_TIME_S)
     rows = reading.get_array(curve, "ParameterCurveControlPoints")
     if not rows:
         raise reading.make_error("a curve has no control points")
-    time = start + np.array([reading.get_number(row, "Time", 0.0, MAX_TIME_S) for row in rows])
+    time = (0.0 if from_pattern else start) + np.array([reading.get_number(row, "Time", 0.0, MAX_TIME_S) for row in rows])
     if np.any(np.diff(time) < 0.0):
         raise reading.make_error("the times of a curve fall")
     return time, np.clip(

@@ -53,6 +53,11 @@ MIN_CLICK_SPACING_S = 0.030
 """Smallest interval between two clicks [s]."""
 MIN_AMPLITUDE_SHARE = 1e-3
 """Fraction of the largest amplitude below which the frequency is undefined; it is interpolated from the neighbors."""
+SHORT_HALF_WINDOW_S = 0.025
+"""Half the length of the Hann window of the amplitude that a click is compared with [s].
+
+Long enough that a burst of `EMPHASIS_DURATION_S`, which is how a click is rendered, exceeds it by `CLICK_CREST`.
+"""
 ROUNDING_SHARE = 1e-12
 """Fraction of the largest sample below which an amplitude is a rounding error of the FFT."""
 _WINDOWS_PER_BLOCK = 4096
@@ -151,7 +156,15 @@ def compute_envelope(
     clicks = {}
     if separate_clicks:
         # The smaller of both, since a slow oscillation below the range also has large samples but is no click.
-        height, level = np.minimum(np.abs(highpassed), np.abs(x)), np.sqrt(2.0 * smooth(np.square(highpassed)))
+        height = np.minimum(np.abs(highpassed), np.abs(x))
+        long_half = max(1, round(SHORT_HALF_WINDOW_S * rate))
+        long_window = np.hanning(2 * long_half + 3)[1:-1]
+        level = np.sqrt(
+            2.0
+            * reduce_windows(
+                np.square(highpassed), at, long_half, lambda rows, inside: _weighted_mean(rows, inside * long_window)
+            )
+        )
         clicks = _detect_clicks(height, rate, at, level, floor)
     outside_clicks = np.ones(len(at), bool)
     for index in clicks:
@@ -371,6 +384,46 @@ def render_envelope(envelope: Envelope, rate_hz: float, seed: int, *, where: str
         burst = emphasis.amplitude * np.cos(2.0 * np.pi * emphasis.frequency_hz * offset_s)
         samples[span] += weight * (burst - samples[span])
     return np.asarray(samples, dtype=np.float32)
+
+
+def extend_to_clicks(envelope: Envelope) -> Envelope:
+    """Return an envelope that goes on, silently, until its last click has been rendered whole."""
+    end = max((emphasis.time_s + 0.5 * EMPHASIS_DURATION_S for emphasis in envelope.emphases), default=0.0)
+    last = envelope.duration_s
+    if end <= last:
+        return envelope
+    time = np.append(envelope.time, [min(last + 1e-9, 0.5 * (last + end)), end])
+    amplitude = np.append(envelope.amplitude, [0.0, 0.0])
+    return Envelope(time, amplitude, np.append(envelope.frequency, 2 * [envelope.frequency[-1]]), envelope.emphases)
+
+
+def refine_envelope(envelope: Envelope, step_s: float = ENVELOPE_STEP_S) -> Envelope:
+    """Return the same envelope with a point every `step_s` [s] and one at each click, besides its own.
+
+    Raises FileError if that would be more points than are rendered.
+    """
+    if not envelope.duration_s / step_s <= MAX_RENDERED_SAMPLES:
+        raise FileError(f"{envelope.duration_s:g} s are more than can be converted.", remedy="Split the file.")
+    clicks = [min(emphasis.time_s, envelope.duration_s) for emphasis in envelope.emphases]
+    time = np.unique(np.concatenate([envelope.time, np.arange(0.0, envelope.duration_s, step_s), clicks]))
+    amplitude = np.interp(time, envelope.time, envelope.amplitude)
+    return Envelope(time, amplitude, np.interp(time, envelope.time, envelope.frequency), envelope.emphases)
+
+
+def fold_clicks(envelope: Envelope) -> Envelope:
+    """Return the envelope with its clicks as peaks of the amplitude, for formats that have no clicks."""
+    if not envelope.emphases:
+        return envelope
+    half = 0.5 * EMPHASIS_DURATION_S
+    offsets = np.linspace(-half, half, 31)
+    around = np.concatenate([emphasis.time_s + offsets for emphasis in envelope.emphases])
+    time = np.unique(np.concatenate([envelope.time, around[(around >= 0.0) & (around <= envelope.duration_s)]]))
+    amplitude = np.interp(time, envelope.time, envelope.amplitude)
+    for emphasis in envelope.emphases:
+        span = slice(*np.searchsorted(time, [emphasis.time_s - half, emphasis.time_s + half]))
+        weight = np.square(np.cos(np.pi * (time[span] - emphasis.time_s) / EMPHASIS_DURATION_S))
+        amplitude[span] += weight * (emphasis.amplitude - amplitude[span])
+    return Envelope(time, amplitude, np.interp(time, envelope.time, envelope.frequency))
 
 
 CLIPPED_PREFIX = "Clipped"

@@ -21,16 +21,16 @@ from .envelope import (
     compute_envelope,
     count_clipped,
     denormalise_frequency,
+    extend_to_clicks,
     format_clipped,
     normalise_frequency,
-    render_envelope,
     select_control_points,
     select_frequency_points,
     separate_equal_times,
 )
 from .json_reader import JsonReader, read_json, write_json
 from .options import ExportOptions, ImportOptions
-from .provenance import SOFTWARE, Provenance, encode_provenance, make_rendered_provenance, parse_provenance
+from .provenance import SOFTWARE, EnvelopeFile, Provenance, encode_provenance, make_rendered_provenance, parse_provenance
 
 VERSION = {"major": 1, "minor": 0, "patch": 0}
 _DIGITS = 6
@@ -45,7 +45,11 @@ def write_haptic(path: Path, signal: Signal, options: ExportOptions) -> tuple[st
 
     Raises FileError if a sample is not finite or the file cannot be written.
     """
-    envelope = compute_envelope(signal, options.range_hz, where=str(path))
+    return DROPPED + store_haptic(path, compute_envelope(signal, options.range_hz, where=str(path)), signal, options)
+
+
+def store_haptic(path: Path, envelope: Envelope, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
+    """Write an envelope as `.haptic`, with the origin of `signal`; return a sentence on values that were clipped."""
     record, clipped = encode_haptic(envelope, options)
     record["metadata"] = {
         "editor": SOFTWARE,
@@ -56,24 +60,25 @@ def write_haptic(path: Path, signal: Signal, options: ExportOptions) -> tuple[st
         "description": encode_provenance(signal, options),
     }
     write_json(path, {name: record[name] for name in ("version", "metadata", "signals")})
-    return DROPPED + format_clipped(clipped, options)
+    return format_clipped(clipped, options)
 
 
 def encode_haptic(envelope: Envelope, options: ExportOptions) -> tuple[dict[str, Any], int]:
     """Return the JSON keys "version" and "signals" of a .haptic file, and the number of values above full scale."""
     strength = np.round(envelope.amplitude / options.full_scale_m_s2, 12)
-    marks = {int(np.argmin(np.abs(envelope.time - emphasis.time_s))): emphasis for emphasis in envelope.emphases}
+    marks: dict[int, list[Emphasis]] = {}
+    for emphasis in envelope.emphases:
+        marks.setdefault(_find_nearest(envelope.time, emphasis.time_s), []).append(emphasis)
     points = []
     for index in select_control_points(envelope.time, strength, options.error * strength.max(), marks):
         value = _round_to_unit_range(strength[index])
         point: dict[str, Any] = {"time": round(float(envelope.time[index]), _DIGITS), "amplitude": value}
-        if int(index) in marks:
-            mark = marks[int(index)]
-            point["emphasis"] = {
-                "amplitude": max(value, _round_to_unit_range(mark.amplitude / options.full_scale_m_s2)),
-                "frequency": _round_to_unit_range(normalise_frequency(mark.frequency_hz, options.range_hz)),
-            }
-        points.append(point)
+        for mark in marks.get(int(index), ()):
+            level = max(value, _round_to_unit_range(mark.amplitude / options.full_scale_m_s2))
+            tone = _round_to_unit_range(normalise_frequency(mark.frequency_hz, options.range_hz))
+            points.append(point | {"emphasis": {"amplitude": level, "frequency": tone}})
+        if int(index) not in marks:
+            points.append(point)
     relative_frequency = normalise_frequency(envelope.frequency, options.range_hz)
     tones = [
         {
@@ -91,13 +96,18 @@ def read_haptic(path: Path, options: ImportOptions) -> Signal:
 
     Raises FileError if the file breaks a rule of the format.
     """
+    return load_haptic(path, options).render(options.rate_hz, options.seed, str(path))
+
+
+def load_haptic(path: Path, options: ImportOptions) -> EnvelopeFile:
+    """Read the envelopes of a .haptic file, up to the end of its last click; raise FileError as `read_haptic`."""
     record = read_json(path)
     metadata = record.get("metadata")
     origin = parse_provenance(metadata.get("description") if isinstance(metadata, dict) else None, options)
     envelope = decode_haptic(record, origin, path)
-    samples = render_envelope(envelope, options.rate_hz, options.seed, where=str(path))
     facts = make_rendered_provenance(origin, path.name, assumed=_list_assumptions(record, envelope))
-    return Signal(samples, options.rate_hz, options.seed, facts)
+    # A signal of this project ends where it ended, and whatever else with its last click.
+    return EnvelopeFile(envelope if origin.stated else extend_to_clicks(envelope), origin, facts)
 
 
 def _list_assumptions(record: dict[str, Any], envelope: Envelope) -> tuple[str, ...]:
@@ -160,6 +170,12 @@ def _read_curve(reading: JsonReader, rows: list[Any], name: str) -> tuple[Float,
     if np.any(np.diff(time) < 0.0):
         raise reading.make_error(f"the times of its {name} envelope fall")
     return separate_equal_times(time), np.array([reading.get_number(row, name, 0.0, 1.0) for row in rows])
+
+
+def _find_nearest(time: Float, at: float) -> int:
+    """Return the index of the point of a rising grid that is nearest to a time."""
+    upper = int(np.clip(np.searchsorted(time, at), 1, max(1, len(time) - 1)))
+    return min((upper - 1, upper), key=lambda index: abs(float(time[index]) - at)) if len(time) > 1 else 0
 
 
 def _round_to_unit_range(value: float) -> float:

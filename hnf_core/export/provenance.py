@@ -16,7 +16,7 @@ from .. import __version__
 from ..errors import FileError
 from ..files import content_hash
 from ..signal import Signal
-from .envelope import CARRIER_DESCRIPTION
+from .envelope import CARRIER_DESCRIPTION, Envelope, render_envelope
 from .json_reader import read_json, write_json
 from .options import (
     DEFAULT_FULL_SCALE_M_S2,
@@ -135,6 +135,29 @@ def make_rendered_provenance(
         "scale": f"1 = {origin.full_scale_m_s2:g} m/s², 0 … 1 = {low:g} … {high:g} Hz ({basis})",
         **{key: value for key, value in notes.items() if value},
     }
+
+
+@dataclass(frozen=True)
+class EnvelopeFile:
+    """Content of a file that holds strength and frequency over time.
+
+    Attributes
+    ----------
+    envelope : Envelope
+        Envelope in m/s² and Hz.
+    origin : Provenance
+        Its scale and origin.
+    facts : dict of str
+        Provenance of what is rendered from it.
+    """
+
+    envelope: Envelope
+    origin: Provenance
+    facts: dict[str, str]
+
+    def render(self, rate_hz: float, seed: int, where: str) -> Signal:
+        """Return the envelope as a signal; see `render_envelope`."""
+        return Signal(render_envelope(self.envelope, rate_hz, seed, where=where), rate_hz, seed, self.facts)
 
 
 SIDECAR_SCHEMA = 1
