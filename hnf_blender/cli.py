@@ -7,9 +7,12 @@ needs when it runs, so that `hnf --help` loads nothing.
 from __future__ import annotations
 
 import argparse
+import atexit
+import contextlib
 import importlib.util
+import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,10 +33,34 @@ def run_touch(arguments: argparse.Namespace) -> int:
     from hnf_core.cli.touch import make_touch_request
 
     request = make_touch_request(arguments)
-    _start_blender("touch", request.scene)
-    from .touch.run import run
+    with _contain_session():
+        _start_blender("touch", request.scene)
+        from .touch.run import run
 
-    return run(request)
+        return run(request)
+
+
+@contextlib.contextmanager
+def _contain_session() -> Iterator[None]:
+    """Let bpy, if it is not imported yet, keep its session's folder in one that names this process.
+
+    Blender gives its own a random name, so that nobody could tell that the process of a left one was killed.
+    """
+    if "bpy" in sys.modules:
+        yield
+        return
+    from hnf_core.files import make_run_folder
+
+    folder, before = make_run_folder("touch"), os.environ.get("TMPDIR")
+    os.environ["TMPDIR"] = folder.name
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["TMPDIR"]
+        else:
+            os.environ["TMPDIR"] = before
+        atexit.register(folder.cleanup)
 
 
 def run_views(arguments: argparse.Namespace) -> int:
@@ -41,10 +68,11 @@ def run_views(arguments: argparse.Namespace) -> int:
     from hnf_core.cli.render_views import make_views_request
 
     request = make_views_request(arguments)
-    _start_blender("views", request.scene)
-    from .touch.scene_views import write_views
+    with _contain_session():
+        _start_blender("views", request.scene)
+        from .touch.scene_views import write_views
 
-    return write_views(request)
+        return write_views(request)
 
 
 def _start_blender(verb: str, scene: Path | None) -> None:

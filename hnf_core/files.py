@@ -9,8 +9,10 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import re
 import shutil
 import struct
+import sys
 import tempfile
 import tokenize
 import zipfile
@@ -228,6 +230,69 @@ def describe_content(data: bytes) -> str:
     if not data:
         return "but an empty one"
     return next((words for head, words in _KINDS.items() if data.lstrip().startswith(head)), "as its first bytes show")
+
+
+_FOLDER_OWNER = re.compile(r"hnf-[a-z]+-(\d+)-")
+
+
+def make_run_folder(kind: str) -> tempfile.TemporaryDirectory[str]:
+    """Make a folder of this process in the system's temporary folder; remove those of processes that have ended.
+
+    Its name holds the process, so that whichever run comes next finds what a killed one left behind.
+
+    Parameters
+    ----------
+    kind : str
+        Lower-case word for its name.
+
+    Returns
+    -------
+    tempfile.TemporaryDirectory
+        The folder, removed when the object is closed.
+    """
+    remove_dead_folders()
+    return tempfile.TemporaryDirectory(prefix=f"hnf-{kind}-{os.getpid()}-", ignore_cleanup_errors=True)
+
+
+def remove_dead_folders() -> list[Path]:
+    """Remove and return the temporary folders of this project whose processes have ended."""
+    removed = []
+    for folder in Path(tempfile.gettempdir()).glob("hnf-*"):
+        owner = _FOLDER_OWNER.match(folder.name)
+        if owner and not is_process_alive(int(owner[1])):
+            shutil.rmtree(folder, ignore_errors=True)
+            removed.append(folder)
+    return removed
+
+
+def is_process_alive(pid: int) -> bool:
+    """Return whether a process with this id runs; False for a zombie."""
+    if sys.platform == "win32":
+        return _is_windows_process_alive(pid)
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (OSError, IndexError):  # This system has no /proc.
+        return True
+
+
+def _is_windows_process_alive(pid: int) -> bool:
+    import ctypes
+
+    query, still_active = 0x1000, 259
+    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
+    handle = kernel.OpenProcess(query, False, pid)
+    if not handle:
+        return False
+    code = ctypes.c_ulong()
+    kernel.GetExitCodeProcess(handle, ctypes.byref(code))
+    kernel.CloseHandle(handle)
+    return code.value == still_active
 
 
 NPZ_ERRORS: tuple[type[Exception], ...] = (

@@ -157,32 +157,9 @@ def remove_abandoned_folders() -> list[Path]:
 
 def is_process_alive(pid: int) -> bool:
     """Return whether a process with this id runs; False for a zombie."""
-    if sys.platform == "win32":
-        return _is_windows_process_alive(pid)
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (OSError, IndexError):  # This system has no /proc.
-        return True
+    from hnf_core.files import is_process_alive  # imports numpy, which enabling the add-on should not
 
-
-def _is_windows_process_alive(pid: int) -> bool:
-    import ctypes
-
-    query, still_active = 0x1000, 259
-    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
-    handle = kernel.OpenProcess(query, False, pid)
-    if not handle:
-        return False
-    code = ctypes.c_ulong()
-    kernel.GetExitCodeProcess(handle, ctypes.byref(code))
-    kernel.CloseHandle(handle)
-    return code.value == still_active
+    return is_process_alive(pid)
 
 
 WORKER = Path(__file__).with_name("worker.py")

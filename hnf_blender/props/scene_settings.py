@@ -59,6 +59,9 @@ FORMAT_CHOICES = (
     FormatChoice("ahap", ".ahap (Apple)", "Strength and sharpness over time, for iPhones; no waveform"),
     FormatChoice("android", "Android Waveform", "Strength over time, for VibrationEffect.createWaveform; no waveform",
                  stem="-android"),
+    FormatChoice("android-xml", "Android 16 Envelope", "Intensity and sharpness over time, as Android's XML; no "
+                 "waveform",
+                 stem="-android"),
     FormatChoice("hjif", ".hjif (MPEG)", "The vibration along the stroke and the vertices that it lies on; their mesh "
                  "is written beside it, as GLB"),
     FormatChoice("glb", "GLB (glTF)", "The touched mesh with what is baked on it (MPEG_haptic_material) and the signal",

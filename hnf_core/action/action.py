@@ -17,6 +17,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from ..datasets.data_files import parse_columns, read_text
 from ..errors import FileError, StrokeError
 from ..files import write_text
 
@@ -236,6 +237,9 @@ CSV_COLUMNS = ("time_s", "direction_rad", "speed_m_s", "force_n")
 """Columns of a table."""
 POSITION_COLUMN = "position_m"
 """Column that a table may have besides: the signed arc length, which falls where the hand goes back."""
+MAX_HEADER_LENGTH = 2**16
+MAX_FORCE_NOISE_N, MAX_FORCE_NOISE_SHARE = 0.05, 0.02
+"""Force below 0 that a load cell's noise explains [N], and as a share of the table's largest force."""
 MAX_ACTION_S = 86_400.0
 """Longest accepted action [s]; a longer one has another unit, as ten seconds in microseconds would be four months."""
 MAX_TURNS, MAX_STEP_S = 2.0, 1.5
@@ -272,13 +276,26 @@ def read_action_csv(
     StrokeError
         If its values make no action.
     """
+    lines: Sequence[int] = ()
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            header, table, lines = _read_table(path, stream)
+        with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
+            titles = {cell.strip() for cell in stream.readline(MAX_HEADER_LENGTH).split(",")}
+        if titles.isdisjoint(CSV_COLUMNS):
+            header, table = _read_own_table(path)
+        else:
+            with path.open(newline="", encoding="utf-8-sig") as stream:
+                header, table, lines = _read_table(path, stream)
     except OSError as error:
         raise FileError(f"cannot read it ({error.strerror}).", where=str(path), remedy="Check the path.") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileError(f"not a CSV table ({error}).", where=str(path), remedy=_CSV_REMEDY) from error
+    force = table[:, header.index("force_n")]
+    is_noise = (force < 0.0) & (
+        force >= -max(MAX_FORCE_NOISE_N, MAX_FORCE_NOISE_SHARE * float(np.max(force, initial=0.0)))
+    )
+    if is_noise.any():
+        warn(f"{path.name}: {int(is_noise.sum())} forces below 0 are taken for the sensor's noise, and for 0.")
+        force[is_noise] = 0.0
     columns = [table[:, header.index(name)] for name in CSV_COLUMNS]
     position = table[:, header.index(POSITION_COLUMN)] if POSITION_COLUMN in header else None
     action = action_from_table(*columns, position=position, probe=probe, rate=rate, where=str(path), lines=lines)
@@ -347,10 +364,17 @@ def action_from_table(
     if np.any(np.diff(time) <= 0.0):
         row = _format_row(int(np.argmax(np.diff(time) <= 0.0)) + 1, lines)
         raise StrokeError(f"time does not rise at {row}.", where=where, remedy="Sort the rows by time_s.")
-    if speed.min() < 0.0 or force.min() < 0.0:
+    if speed.min() < 0.0:
+        row = _format_row(int(np.argmax(speed < 0.0)), lines)
         raise StrokeError(
-            "speed and force must not be negative.", where=where, remedy="Turn the direction by π to go backward."
+            f"the speed at {row} is negative.", where=where, remedy="Turn the direction by π to go backward."
         )
+    if force.min() < 0.0:
+        row = _format_row(int(np.argmax(force < 0.0)), lines)
+        raise StrokeError(
+            f"the force at {row} is negative.", where=where,
+            remedy="Give the force with which the probe presses, 0 where it does not touch.",
+        )  # fmt: skip
     duration = float(time[-1] - time[0])
     if duration > MAX_ACTION_S:
         raise StrokeError(
@@ -411,6 +435,32 @@ def _read_table(path: Path, stream: Iterable[str]) -> tuple[list[str], Float, Se
         numbers.extend(_parse_row(path, rows.line_num, row, header))
         lines.append(rows.line_num)
     return header, np.array(numbers, dtype=np.float64).reshape(-1, len(header)), lines
+
+
+_ALIASES = {"t": "time", "angle": "direction", "velocity": "speed", "load": "force", "fz": "force", "fn": "force"}
+
+
+def _read_own_table(path: Path) -> tuple[list[str], Float]:
+    """Return header and numbers of a table whose header is not exactly this project's, in its columns and SI units.
+
+    Names may have another case or unit, and be separated by semicolons or tabs. Positions x and y give direction and
+    speed where those lack.
+    """
+    wanted = ("time", "direction", "speed", "force", "position", "x", "y")
+    columns, missing = parse_columns(read_text(path), wanted, _ALIASES, str(path))
+    if {"x", "y"} <= columns.keys() and {"direction", "speed"} & set(missing) and "time" in columns:
+        time = columns["time"]
+        if len(time) > 1 and np.all(np.diff(time) > 0.0):
+            dx, dy = np.gradient(columns["x"], time), np.gradient(columns["y"], time)
+            columns.setdefault("direction", np.arctan2(dy, dx))
+            columns.setdefault("speed", np.hypot(dx, dy))
+    names = dict(zip(("time", "direction", "speed", "force"), CSV_COLUMNS, strict=True)) | {"position": POSITION_COLUMN}
+    for name, title in names.items():
+        if name not in columns and title != POSITION_COLUMN:
+            found = f"; there are {', '.join(sorted(columns))}" if columns else ""
+            raise FileError(f"column {title} is missing{found}.", where=str(path), remedy=_CSV_REMEDY)
+    header = [title for name, title in names.items() if name in columns]
+    return header, np.stack([columns[name] for name in names if name in columns], axis=1)
 
 
 def _integrate_speed(at: Float, time: Float, speed: Float, travelled: Float) -> Float:

@@ -1,6 +1,6 @@
 """Stream targets as text, the sinks they stand for, and the devices that are connected.
 
-serial:PORT[@BAUD] | audio[:DEVICE] | osc:HOST:PORT[/ADDRESS] | file:PATH | virtual
+serial:PORT[@BAUD] | audio[:DEVICE[:CHANNELS]] | osc:HOST:PORT[/ADDRESS] | file:PATH | virtual
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .runtime import import_optional
 from .sink import Sink
 from .sinks.osc import DEFAULT_ADDRESS
 
-TARGET_FORMS = "serial:PORT[@BAUD], audio[:DEVICE], osc:HOST:PORT[/ADDRESS], file:PATH or virtual"
+TARGET_FORMS = "serial:PORT[@BAUD], audio[:DEVICE[:CHANNELS]], osc:HOST:PORT[/ADDRESS], file:PATH or virtual"
 """The forms of a target, for messages."""
 
 
@@ -33,13 +33,20 @@ class SerialTarget:
 
 @dataclass(frozen=True)
 class AudioTarget:
-    """Target "audio": a sound output by part of its name, its index, or None for the system's default."""
+    """Target "audio": a sound output by part of its name, its index, or None for the system's default.
+
+    channel_map: output channels, counted from 1, in the order of the signals; empty for the first ones.
+    """
 
     device: str | int | None = None
+    channel_map: tuple[int, ...] = ()
 
     @property
     def text(self) -> str:
-        return "audio" if self.device is None else f"audio:{self.device}"
+        device = "" if self.device is None else str(self.device)
+        if self.channel_map:
+            return f"audio:{device}:{','.join(map(str, self.channel_map))}"
+        return f"audio:{device}" if device else "audio"
 
 
 @dataclass(frozen=True)
@@ -85,7 +92,13 @@ def parse_target(text: str) -> Target:
     if kind == "virtual" and not colon:
         return VirtualTarget()
     if kind == "audio" and (rest or not colon):
-        return AudioTarget((int(rest) if re.fullmatch("[0-9]{1,6}", rest) else rest) if colon else None)
+        device, second, last = rest.rpartition(":")
+        channel_map: tuple[int, ...] = ()
+        if second and re.fullmatch("[0-9]{1,3}(,[0-9]{1,3})*", last):
+            channel_map, rest = tuple(map(int, last.split(","))), device
+            if 0 in channel_map or len(set(channel_map)) < len(channel_map):
+                raise _make_target_error(text, "audio:DEVICE:3,4, each output channel once, counted from 1")
+        return AudioTarget((int(rest) if re.fullmatch("[0-9]{1,6}", rest) else rest) or None, channel_map)
     if kind == "serial":
         port, at, baud = rest.rpartition("@")
         if not at:
@@ -103,7 +116,9 @@ def parse_target(text: str) -> Target:
     raise _make_target_error(text, TARGET_FORMS)
 
 
-def make_sink(target: Target, source_rate_hz: float, limits: Limits, channels: int = 1) -> Sink:
+def make_sink(
+    target: Target, source_rate_hz: float, limits: Limits, channels: int = 1, *, connect_s: float | None = None
+) -> Sink:
     """Make the sink of a target, not opened yet.
 
     Parameters
@@ -116,11 +131,13 @@ def make_sink(target: Target, source_rate_hz: float, limits: Limits, channels: i
         Limits of the actuator; serial and virtual devices enforce peak and slew as well.
     channels : int
         Number of channels.
+    connect_s : float or None
+        Longest wait for a serial device to answer [s]; None for the usual.
     """
     if isinstance(target, AudioTarget):
         from .sinks.audio import AudioSink
 
-        return AudioSink(target.device, channels)
+        return AudioSink(target.device, channels, channel_map=target.channel_map)
     if isinstance(target, OscTarget):
         from .sinks.osc import OscSink
 
@@ -134,10 +151,18 @@ def make_sink(target: Target, source_rate_hz: float, limits: Limits, channels: i
         from .virtual.port import VirtualSink
 
         return VirtualSink(rate, channels, peak=limits.peak_counts, slew_per_s=limits.slew_per_s)
-    from .sinks.serial import BAUDRATE, SerialSink
+    from .sinks.serial import BAUDRATE, CONNECT_S, SerialSink
 
     baudrate, peak = target.baudrate or BAUDRATE, limits.peak_counts
-    return SerialSink(target.port, baudrate, rate, channels, peak=peak, slew_per_s=limits.slew_per_s)
+    return SerialSink(
+        target.port,
+        baudrate,
+        rate,
+        channels,
+        peak=peak,
+        slew_per_s=limits.slew_per_s,
+        reply_timeout_s=connect_s or CONNECT_S,
+    )
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..errors import FileError, HnfError
-from ..files import content_hash
+from ..files import content_hash, make_run_folder
 from .__main__ import EXIT_BROKEN
 from .jobs import FAILED_SUFFIX
 from .staging import (
@@ -240,7 +240,7 @@ def run_child(
     with (
         tempfile.TemporaryFile() as out,
         tempfile.TemporaryFile() as err,
-        tempfile.TemporaryDirectory(prefix="hnf-batch-", ignore_cleanup_errors=True) as scratch,
+        make_run_folder("batch") as scratch,
     ):
         paths = os.pathsep.join(path for path in (str(ROOT), os.environ.get("PYTHONPATH", "")) if path)
         try:

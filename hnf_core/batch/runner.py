@@ -13,7 +13,6 @@ import os
 import re
 import signal
 import socket
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import HnfError, UsageError
-from ..files import folder_lock
+from ..files import folder_lock, make_run_folder
 from .attempt import (
     RUN_FILE_NAME,
     Outcome,
@@ -154,7 +153,7 @@ def _start_local_cluster(dask: Any, distributed: Any, worker_count: int, retries
         "distributed.worker.http.routes": [],
     }
     with (
-        tempfile.TemporaryDirectory(prefix="hnf-batch-", ignore_cleanup_errors=True) as scratch,
+        make_run_folder("batch") as scratch,
         dask.config.set(settings),
     ):
         with _block_interrupts():

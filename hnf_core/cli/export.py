@@ -10,15 +10,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..action.action import write_action_csv
 from ..actuators.profile import GENERIC, PROFILES
 from ..actuators.profile_json import load_profile
 from ..errors import UsageError
-from ..export.convert import export_signal
-from ..export.formats import FORMATS, format_of
-from ..export.options import DEFAULT_FULL_SCALE_M_S2, DEFAULT_RANGE_HZ, ExportOptions
+from ..export.convert import ExportResult, convert_envelope, export_signal, import_signal
+from ..export.formats import FORMATS, Format, Loader, find_loader, format_of
+from ..export.options import (
+    DEFAULT_FULL_SCALE_M_S2,
+    DEFAULT_RANGE_HZ,
+    MIN_FULL_SCALE_M_S2,
+    ExportOptions,
+    ImportOptions,
+)
 from ..export.touched_surface import TouchedSurface
 from ..export.wav import read_wav_with_units
+from ..signal import Signal
 from .commands import HELP
 
 ACTION_FORMAT = "action"
@@ -41,7 +50,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         epilog=f"formats:\n{listed}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("file", type=Path, metavar="FILE.wav", help="a signal of this project, in m/s²")
+    parser.add_argument(
+        "file", type=Path, metavar="FILE.wav", help="a signal of this project in m/s², or a haptic file"
+    )
     parser.add_argument("--format", required=True, metavar="WORD", help="one of those below")
     parser.add_argument("--out", type=Path, required=True, metavar="F", help="file to write")
     parser.add_argument(
@@ -49,6 +60,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     )
     parser.add_argument("--object", metavar="NAME", help="which mesh of --scene; default: as FILE.wav says")
     add_scale_options(parser)
+    parser.add_argument("--fit", action="store_true", help="let 1 stand for the signal's own peak: loud on any device")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser
 
@@ -133,6 +145,14 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -
     if arguments.object is not None and arguments.scene is None:
         raise UsageError("--object without --scene.", remedy="Name the baked scene too: --scene BAKED.blend")
     full_scale, range_hz = get_scale(arguments)
+    is_wav = arguments.file.suffix.lower() == ".wav"
+    if arguments.fit and (full_scale is not None or not form.scaled):
+        raise UsageError(
+            f"--fit with {'another scale' if form.scaled else f'the format {form.word!r}, which keeps m/s²'}.",
+            remedy="Leave one of them out.",
+        )
+    if not is_wav and (load := find_loader(arguments.file)) is not None and form.store is not None:
+        return _convert(arguments, load, form, full_scale, range_hz)
     if form.fit is not None and full_scale is not None:
         raise UsageError(
             f"the format '{form.word}' finds its full scale in the signal: --full-scale and --profile have no place.",
@@ -144,7 +164,13 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -
         range_hz or DEFAULT_RANGE_HZ,
         full_scale_assumed=assumed,
     )
-    signal = read_wav_with_units(arguments.file)
+    if is_wav:
+        signal = read_wav_with_units(arguments.file)
+    else:
+        signal = import_signal(arguments.file, ImportOptions(full_scale, range_hz))
+    if arguments.fit:
+        options = fit_to_peak(signal, options)
+        assumed = False
     if arguments.scene is not None:
         surface = read_scene(arguments.scene, signal.provenance, arguments.object)
         options = replace(options, surface=surface)
@@ -153,9 +179,56 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -
     print(json.dumps(record, indent=1) if arguments.json else exported.report())
     if exported.clipped:
         print("hnf: what was clipped fits a larger --full-scale, or a stronger actuator.", file=sys.stderr)
-    elif assumed and not arguments.json:
+    elif not arguments.json and form.scaled and (line := describe_faint(exported)):
+        print(line)
+    if assumed and not exported.clipped and not arguments.json:
         print(f"- 1 is {DEFAULT_FULL_SCALE_M_S2:g} m/s², {_explain_assumption(arguments.profile)}")
     return 0
+
+
+def _convert(
+    arguments: argparse.Namespace,
+    load: Loader,
+    form: Format,
+    full_scale: float | None,
+    range_hz: tuple[float, float] | None,
+) -> int:
+    """Write the envelope of a haptic file in another such format; its own scale stays unless another is told."""
+    clip = load(arguments.file, ImportOptions(full_scale, range_hz))
+    options = ExportOptions(full_scale or clip.origin.full_scale_m_s2, range_hz or clip.origin.range_hz)
+    if arguments.fit:
+        envelope = clip.envelope
+        peak = max([float(envelope.amplitude.max()), *(click.amplitude for click in envelope.emphases)])
+        options = replace(options, full_scale_m_s2=peak) if peak > 0.0 else options
+    exported = convert_envelope(clip, arguments.file, form, arguments.out, options)
+    print(json.dumps(exported.to_json(), indent=1) if arguments.json else exported.report())
+    if not arguments.json:
+        for name in ("assumed", "ignored"):
+            if name in clip.facts:
+                print(f"- {name}: {clip.facts[name]}")
+        if line := describe_faint(exported):
+            print(line)
+    return 0
+
+
+FAINT_SHARE = 0.1
+"""Largest peak, as a share of full scale, of a signal that is called faint."""
+
+
+def describe_faint(exported: ExportResult) -> str:
+    """Return one line if a signal uses only a few percent of its scale, else ""."""
+    share = exported.loss.before.peak / exported.options.full_scale_m_s2
+    if not 0.0 < share < FAINT_SHARE:
+        return ""
+    return (
+        f"- Faint: its peak is {100.0 * share:.2g} % of full scale; --fit makes it use all, and says what 1 stands for."
+    )
+
+
+def fit_to_peak(signal: Signal, options: ExportOptions) -> ExportOptions:
+    """Return options whose full scale is the signal's peak, so that the file uses all of the scale."""
+    peak = float(np.abs(signal.samples).max(initial=0.0))
+    return replace(options, full_scale_m_s2=peak, full_scale_assumed=False) if peak >= MIN_FULL_SCALE_M_S2 else options
 
 
 def _export_action(arguments: argparse.Namespace, read_scene: SceneReader) -> int:

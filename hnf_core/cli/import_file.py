@@ -18,14 +18,14 @@ from ..export.fidelity import (
     format_rendered_summary,
     measure_loss,
 )
-from ..export.formats import SUFFIXES, format_of, format_of_file
+from ..export.formats import FOREIGN_LOADERS, SUFFIXES, format_of, format_of_file
 from ..export.options import DEFAULT_RENDER_RATE_HZ, ImportOptions
 from ..export.provenance import get_sidecar_path, read_sidecar_loss
 from ..export.wav import read_wav_scaled, write_wav
 from .commands import HELP
 from .export import add_scale_options, check_output, get_scale
 
-REPORTED_PROVENANCE = ("scale", "assumed", "carrier", "ignored")
+REPORTED_PROVENANCE = ("scale", "assumed", "carrier", "ignored", "modality", "doubt")
 """Entries of the provenance that are printed: what was assumed, synthesised and ignored."""
 
 
@@ -46,9 +46,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         help=f"of what is rendered (default {DEFAULT_RENDER_RATE_HZ:g}); samples keep their own",
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="draws where the sine starts (default 0)")
-    parser.add_argument(
-        "--channel", type=int, metavar="N", help="which channel of a file that has several, from 1"
-    )
+    parser.add_argument("--channel", type=int, metavar="N", help="which channel of a file that has several, from 1")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser
 
@@ -56,7 +54,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace) -> int:
     """Run `hnf import`; return the exit code. Raises HnfError."""
     check_output(arguments.out, ".wav", arguments.file)
-    form = format_of_file(arguments.file) if arguments.format is None else format_of(arguments.format)
+    is_foreign = arguments.format is None and arguments.file.suffix.lower() in FOREIGN_LOADERS
+    form = None if is_foreign else format_of(arguments.format) if arguments.format else format_of_file(arguments.file)
+    sampled = form is not None and form.sampled
     full_scale, range_hz = get_scale(arguments)
     options = ImportOptions(full_scale, range_hz, arguments.rate, arguments.seed, arguments.channel)
     signal = import_signal(arguments.file, options, form)
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         notes += describe_sidecar_loss(export_loss, get_sidecar_path(arguments.file).name)
     loss = measure_loss(signal, read_wav_scaled(arguments.out, options), notes)
     # A rendered signal always equals itself, so exactness means nothing for a file without samples.
-    loss = replace(loss, exact=loss.exact and form.sampled)
+    loss = replace(loss, exact=loss.exact and sampled)
     record = {
         "wav": str(arguments.out),
         "source": str(arguments.file),
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
         "peak_m_s2": float(np.abs(signal.samples).max(initial=0.0)),
         "seed": signal.seed,
         "provenance": dict(signal.provenance),
-        "waveform": "as stored" if form.sampled else "made up",
+        "waveform": "as stored" if sampled else "made up",
         "export_loss": export_loss,
         "loss": loss.to_json(),
     }
@@ -84,6 +84,6 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(record, indent=1))
         return 0
     print(f"{arguments.out}: what {arguments.file} says, in m/s²")
-    print(format_loss_table(loss) if form.sampled else format_rendered_summary(loss))
+    print(format_loss_table(loss) if sampled else format_rendered_summary(loss))
     print(format_level_table(loss.after, loss.bands))
     return 0

@@ -179,6 +179,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--raw", action="store_true", help="leave out the inverse filter of a measured profile (hnf actuators measure)"
     )
+    parser.add_argument(
+        "--connect-timeout", type=float, metavar="S", help="how long to wait for a board to answer (default 10)"
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after that long")
     parser.add_argument("--json", action="store_true", help="end with the report as one JSON object")
     return parser
@@ -192,7 +195,7 @@ def run(arguments: argparse.Namespace) -> int:
     limits = profile.limits
     recorded = read_accelerations(arguments.wav, limits)
     source, duration_s = _make_source(recorded, gain, arguments.loop, arguments.seconds)
-    sink = make_sink(target, recorded.rate_hz, limits, source.channels)
+    sink = make_sink(target, recorded.rate_hz, limits, source.channels, connect_s=arguments.connect_timeout)
     # A recording does not react to anybody, so the slower resampler with more delay is used.
     stages = () if arguments.raw else make_compensation(profile, recorded.rate_hz, source.channels)
     block_s = arguments.block / 1e3

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NoReturn
 from xml.etree.ElementTree import Element, TreeBuilder
@@ -104,7 +105,8 @@ _UNIT_FACTORS = {
         "n": 1.0, "newton": 1.0, "newtons": 1.0, "mn": 1e-3, "gf": 1e-3 * STANDARD_GRAVITY, "kgf": STANDARD_GRAVITY,
     },
     "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 25.4e-3},
-    "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6},
+    "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "micro-s": 1e-6, "ns": 1e-9},
+    "direction": {"rad": 1.0, "deg": np.pi / 180.0, "°": np.pi / 180.0, "degrees": np.pi / 180.0},
     "rate": {"hz": 1.0, "khz": 1e3, "samples/s": 1.0},
 }  # fmt: skip
 
@@ -205,21 +207,34 @@ def parse_xml(data: bytes, where: str) -> Element:
 
 
 Float = NDArray[np.float64]
-_TABLE_REMEDY = "Get the file again from the data set."
+_TABLE_REMEDY = "Correct it there, or get the file again from where it comes."
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 text file; raise FileError if it cannot be read, is too large, or is no text."""
+    """Read a text file (see `decode_text`); raise FileError if it cannot be read, is too large, or is no text."""
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise FileError("too large for a recording.", where=str(path), remedy=_TABLE_REMEDY)
-        text = path.read_bytes().decode("utf-8-sig")
+        data = path.read_bytes()
     except OSError as error:
         raise FileError(f"cannot read it ({error.strerror}).", where=str(path), remedy="Check the path.") from error
-    except UnicodeDecodeError as error:
-        raise FileError("not a text file.", where=str(path), remedy=_TABLE_REMEDY) from error
+    return decode_text(data, str(path))
+
+
+def decode_text(data: bytes, where: str) -> str:
+    """Return the text of a file: UTF-8, or else Windows-1252, as Excel saves tables on Windows.
+
+    Raises FileError, with the file's name `where`, if it is neither.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        try:
+            text = data.decode("cp1252")
+        except UnicodeDecodeError as error:
+            raise FileError("not a text file.", where=where, remedy="Save it as CSV in UTF-8.") from error
     if "\0" in text:
-        raise FileError("not a text file.", where=str(path), remedy=_TABLE_REMEDY)
+        raise FileError("not a text file.", where=where, remedy="Save it as CSV in UTF-8.")
     return text
 
 
@@ -271,17 +286,84 @@ def read_table(path: Path, wanted: tuple[str, ...]) -> tuple[Float, dict[str, st
 
 def _read_numbered_lines(path: Path) -> list[tuple[int, str]]:
     """Return the lines that are not empty, each with its number."""
-    return [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1) if line.strip()]
+    return number_lines(read_text(path))
+
+
+def number_lines(text: str) -> list[tuple[int, str]]:
+    """Return the header and rows of a table, each with its line number, without empty lines and comments.
+
+    Of lines that begin with # the last before the first row is the header, if no other line is: so numpy.savetxt writes
+    it.
+    """
+    numbered = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    comments = [(number, line.lstrip()[1:].lstrip()) for number, line in numbered if line.lstrip().startswith("#")]
+    rows = [(number, line) for number, line in numbered if not line.lstrip().startswith("#")]
+    if comments and rows and _is_number(re.split("[,;\t]", rows[0][1])[0].strip().replace(",", ".")):
+        before = [comment for comment in comments if comment[0] < rows[0][0]]
+        return [*before[-1:], *rows]
+    return rows
 
 
 def _parse_header(numbered: list[tuple[int, str]]) -> tuple[list[str], list[str], str]:
     """Return name (lower case) and unit of each column, "" if there is none, and the separator."""
-    first = numbered[0][1] if numbered else ""
+    return split_header(numbered[0][1] if numbered else "")
+
+
+def split_header(first: str) -> tuple[list[str], list[str], str]:
+    """Return name (lower case) and unit of each title in a header, "" if there is none, and the separator."""
     separator = max((",", ";", "\t"), key=first.count)
     cells = [
         re.match(r"\s*([^(\[]*?)\s*(?:[(\[](.*)[)\]])?\s*$", cell.replace('"', "")) for cell in first.split(separator)
     ]
     return [cell[1].lower() if cell else "" for cell in cells], [(cell and cell[2]) or "" for cell in cells], separator
+
+
+def parse_columns(
+    text: str, wanted: tuple[str, ...], aliases: Mapping[str, str], where: str
+) -> tuple[dict[str, Float], list[str]]:
+    """Return the columns of a user's own table in SI units, by quantity, and the wanted ones that it lacks.
+
+    Parameters
+    ----------
+    text : str
+        The table, with a header in any case; a unit may follow a name in brackets or behind an underscore.
+    wanted : tuple of str
+        Names of columns: quantities of `parse_unit_factor`, or x and y, which are positions.
+    aliases : mapping of str to str
+        Other names of some of them.
+    where : str
+        The file's name.
+
+    Returns
+    -------
+    columns : dict of str to ndarray, shape (n,)
+        The columns that are there.
+    missing : list of str
+        Wanted names that are not.
+
+    Raises
+    ------
+    FileError
+        For two columns of one name, an unknown unit, or a cell that is no number.
+    """
+    numbered = number_lines(text)
+    titles, header_units, separator = split_header(numbered[0][1] if numbered else "")
+    found: dict[str, tuple[int, float]] = {}
+    for index, (title, header_unit) in enumerate(zip(titles, header_units, strict=True)):
+        match = re.fullmatch(r"([a-z]+)(?:[_ ](\w+))?", title)
+        name = aliases.get(match[1], match[1]) if match else ""
+        if match is None or name not in wanted:
+            continue
+        if name in found:
+            raise FileError(f"there are two columns {name}.", where=where, remedy="Keep one of them.")
+        unit = header_unit or (match[2] or "").replace("_", "/")
+        quantity = "position" if name in ("x", "y") else name
+        found[name] = index, parse_unit_factor(quantity, unit, f"{where}, {title}") if unit else 1.0
+    missing = [name for name in wanted if name not in found]
+    if not found or len(numbered) < 2:
+        return {name: np.zeros(0) for name in found}, missing
+    table = _parse_rows(numbered[1:], separator, [index for index, _ in found.values()], where)
+    return {name: table[:, row] * found[name][1] for row, name in enumerate(found)}, missing
 
 
 def read_numbers(path: Path) -> Float:

@@ -48,11 +48,17 @@ SMOOTHING_MARGIN_S = 0.2
 def check_time_grid(time: Float, where: str) -> None:
     """Raise FileError unless times (n ≥ 4,) [s] rise by a nanosecond or more from sample to sample."""
     if len(time) < 4:
-        raise FileError(f"only {len(time)} samples.", where=where, remedy="Get the file again.")
+        raise FileError(f"only {len(time)} samples.", where=where, remedy="Record more.")
     not_rising = np.diff(time) < 1e-9
     if not_rising.any():
         row = int(np.argmax(not_rising)) + 2
-        raise FileError(f"time does not rise at sample {row}.", where=where, remedy="Get the file again.")
+        if np.all(np.diff(time) >= 0.0):
+            raise FileError(
+                f"its times are rounded, so that they are equal at sample {row}.",
+                where=where,
+                remedy="Write more decimals of the times.",
+            )
+        raise FileError(f"time does not rise at sample {row}.", where=where, remedy="Sort the rows by time.")
 
 
 def measure_sampling_rate(time: Float, where: str) -> float:

@@ -136,13 +136,15 @@ def _find_columns(path: Path) -> tuple[dict[str, tuple[str, str]], list[str]]:
     """Return name in `COLUMNS` and unit (behind an underscore, or "") of each column by its title, and notes."""
     where, columns, unread = str(path), dict[str, tuple[str, str]](), []
     for title in read_header(path):
-        match = re.fullmatch(r"([a-z]+)(?:[_ ](\w+))?", title)
-        if match is None or match[1] not in COLUMNS:
+        axis = re.fullmatch(r"(?:acceleration|accel|acc)[_ ]?([xyz])(?:[_ ](\w+))?", title)
+        match = axis or re.fullmatch(r"([a-z]+)(?:[_ ](\w+))?", title)
+        name = f"a{axis[1]}" if axis else match[1] if match else ""
+        if match is None or name not in COLUMNS:
             unread += [title] if title else []
             continue
-        if match[1] in [name for name, _ in columns.values()]:
-            raise FileError(f"two columns of {match[1]}.", where=where, remedy="Keep one of them.")
-        columns[title] = match[1], (match[2] or "").replace("_", "/")
+        if name in [known for known, _ in columns.values()]:
+            raise FileError(f"two columns of {name}.", where=where, remedy="Keep one of them.")
+        columns[title] = name, (match[2] or "").replace("_", "/")
     names = {name for name, _ in columns.values()}
     axes = names & {"ax", "ay", "az"}
     if "time" not in names or not names & {"acceleration", "ax", "ay", "az"}:

@@ -42,7 +42,14 @@ from .envelope import (
 from .haptic import DROPPED
 from .json_reader import JsonReader, read_json, write_json
 from .options import ExportOptions, ImportOptions
-from .provenance import SOFTWARE, EnvelopeFile, Provenance, encode_provenance, make_rendered_provenance, parse_provenance
+from .provenance import (
+    SOFTWARE,
+    EnvelopeFile,
+    Provenance,
+    encode_provenance,
+    make_rendered_provenance,
+    parse_provenance,
+)
 
 MAX_EVENT_S = 30.0
 MAX_POINTS_PER_CURVE = 16
@@ -288,9 +295,6 @@ def _combine_events(
             kept = (time <= stop + 0.5 * EDGE_RAMP_S) | (time >= start + 0.5 * EDGE_RAMP_S)
             kept[0] = stop > 0.0
             time, level, sharpness_values = time[kept], level[kept], sharpness_values[kept]
-            if stop == 0.0:
-                time = np.append(0.0, time)
-                level, sharpness_values = (np.append(values[0], values) for values in (level, sharpness_values))
 
     def to_amplitude_and_frequency(at: Any, intensity: Any, sharpness: Any) -> tuple[Any, Any]:
         scaled_intensity = np.clip(intensity * np.interp(at, *control[INTENSITY]), 0.0, 1.0)
@@ -301,9 +305,15 @@ def _combine_events(
         (at, *to_amplitude_and_frequency(at, event_intensity, event_sharpness))
         for at, event_intensity, event_sharpness in sorted(clicks)
     )
+    amplitude, frequency = to_amplitude_and_frequency(time, level, sharpness_values)
+    if time[0] > 0.0:
+        time, amplitude, frequency = (np.append(first, values) for first, values in (
+            (0.0, time), (amplitude[0], amplitude), (frequency[0], frequency),
+        ))  # fmt: skip
     return Envelope(
         time,
-        *to_amplitude_and_frequency(time, level, sharpness_values),
+        amplitude,
+        frequency,
         tuple(Emphasis(*map(float, values)) for values in emphases),
     )
 
@@ -386,7 +396,9 @@ def _read_curve(reading: JsonReader, curve: dict[str, Any], lowest: float, from_
     rows = reading.get_array(curve, "ParameterCurveControlPoints")
     if not rows:
         raise reading.make_error("a curve has no control points")
-    time = (0.0 if from_pattern else start) + np.array([reading.get_number(row, "Time", 0.0, MAX_TIME_S) for row in rows])
+    time = (0.0 if from_pattern else start) + np.array(
+        [reading.get_number(row, "Time", 0.0, MAX_TIME_S) for row in rows]
+    )
     if np.any(np.diff(time) < 0.0):
         raise reading.make_error("the times of a curve fall")
     return time, np.clip(

@@ -7,22 +7,24 @@ sidecar and its mesh overwrite no file that they do not own.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..errors import FileError
 from ..field.resampling import MAX_RATE_HZ
 from ..files import suggest_other_path
 from ..signal import Signal
-from .envelope import CLIPPED_PREFIX
+from .envelope import CLIPPED_PREFIX, refine_envelope
 from .fidelity import ConversionLoss, format_loss_table, measure_loss
-from .formats import Format, format_of_file
+from .formats import FOREIGN_LOADERS, Format, format_of_file
 from .gltf import GENERATOR, MAX_READ_BYTES, decode_glb
 from .hjif import get_mesh_path, has_path
 from .json_reader import read_limited_bytes
-from .options import ExportOptions, ImportOptions, choose_render_rate, require_samples
-from .provenance import get_sidecar_path, is_sidecar, write_sidecar
+from .options import DEFAULT_RENDER_RATE_HZ, ExportOptions, ImportOptions, choose_render_rate, require_samples
+from .provenance import EnvelopeFile, get_sidecar_path, is_sidecar, write_sidecar
 
 
 def check_output_paths(path: Path, *, with_mesh: bool) -> None:
@@ -181,4 +183,60 @@ def import_signal(path: Path, options: ImportOptions, form: Format | None = None
 
     Raises FileError if the file is damaged, UsageError if the suffix is unknown or an option is missing.
     """
+    if form is None and path.suffix.lower() in FOREIGN_LOADERS:
+        clip = FOREIGN_LOADERS[path.suffix.lower()](path, options)
+        return require_samples(clip.render(options.rate_hz, options.seed, str(path)), str(path))
     return require_samples((form or format_of_file(path)).read(path, options), str(path))
+
+
+CONVERSION_ERROR = 1e-3
+"""Largest error of an envelope between its control points where it is converted, as a fraction of its peak."""
+
+
+def convert_envelope(
+    clip: EnvelopeFile, source: Path, form: Format, path: Path, options: ExportOptions
+) -> ExportResult:
+    """Write the envelope of a haptic file in another format that holds envelopes, without rendering it between.
+
+    Clicks stay clicks and control points stay where they were, as far as the format has them.
+
+    Parameters
+    ----------
+    clip : EnvelopeFile
+        Content of the file.
+    source : Path
+        The file.
+    form : Format
+        Format to write; it has `store`.
+    path : Path
+        File to write, atomically, with its sidecar.
+    options : ExportOptions
+        Full scale and range of the new file.
+
+    Returns
+    -------
+    ExportResult
+        The file, and what a rendering of it loses against one of the source.
+
+    Raises
+    ------
+    FileError
+        As `export_signal`.
+    """
+    if form.store is None or form.load is None:
+        raise ValueError(f"{form.word} holds no envelope")
+    check_output_paths(path, with_mesh=False)
+    rate = choose_render_rate(Signal(np.zeros(0, np.float32), DEFAULT_RENDER_RATE_HZ, 0), options.range_hz)
+    before = require_samples(clip.render(rate, 0, str(source)), str(source))
+    options = replace(options, error=CONVERSION_ERROR)
+    dropped = form.store(path, refine_envelope(clip.envelope), before, options)
+    written = form.load(path, ImportOptions(rate_hz=rate)).envelope
+    dropped += (_describe_clicks(len(clip.envelope.emphases), len(written.emphases)),)
+    loss = measure_loss(before, form.read(path, ImportOptions(rate_hz=rate)), tuple(filter(None, dropped)))
+    write_sidecar(path, form.word, before, options, loss.to_json())
+    return ExportResult(path, form, options, loss)
+
+
+def _describe_clicks(before: int, after: int) -> str:
+    """Return a sentence on clicks that became something else, or "" if all are there."""
+    return "" if after == before else f"{before - after} of {before} clicks: the format has none, so they became peaks."

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..datasets.data_files import decode_text, parse_columns
 from ..errors import FileError
-from ..files import write_bytes
+from ..files import refuse_pointer, write_bytes
 from ..signal import Signal
 from .json_reader import REEXPORT_REMEDY, read_limited_bytes
 from .options import ExportOptions, ImportOptions, get_finite_samples
@@ -28,6 +29,9 @@ MAX_TABLE_BYTES = 2**29
 MAX_ROW_BYTES = 40
 """Largest size of a row [bytes]: a time of nine digits before the point and twelve after it, and a float32."""
 MIN_RATE_HZ, MAX_RATE_HZ = 1e-3, 1e9
+DOUBTED_RATE_HZ = 100.0
+"""Sample rate below which the unit of the times is doubted, since such a signal cannot hold touch."""
+_ALIASES = {"t": "time", "accel": "acceleration", "acc": "acceleration", "a": "acceleration"}
 MAX_TIME_DEVIATION = 0.1
 """Largest deviation of a time from an even grid, as a fraction of the sample interval, since tables round times."""
 
@@ -57,25 +61,34 @@ def read_csv(path: Path, options: ImportOptions) -> Signal:
     than two rows.
     """
     data = read_limited_bytes(path, MAX_TABLE_BYTES)
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FileError("is no UTF-8 text.", where=str(path), remedy="Save it as UTF-8.") from error
+    refuse_pointer(data, path)
+    text = decode_text(data, str(path))
     header, _, body = text.partition("\n")
-    if [cell.strip() for cell in header.split(",")] != HEADER.split(","):
-        raise FileError("is no table of accelerations.", where=str(path), remedy=f"Give the header {HEADER}.")
-    try:
-        rows = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2) if body.strip() else np.zeros((0, 2))
-    except ValueError as error:
-        raise FileError(f"is damaged ({error}).", where=str(path), remedy=REEXPORT_REMEDY) from error
-    if rows.shape[1] != 2 or len(rows) < 2:
-        raise FileError("has no two columns and rows.", where=str(path), remedy=f"Give the header {HEADER} and rows.")
+    if [cell.strip() for cell in header.split(",")] == HEADER.split(","):
+        try:
+            rows = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2) if body.strip() else np.zeros((0, 2))
+        except ValueError as error:
+            raise FileError(f"is damaged ({error}).", where=str(path), remedy=REEXPORT_REMEDY) from error
+        if rows.shape[1] != 2:
+            raise FileError(
+                "its rows have not two cells.", where=str(path), remedy=f"Give the header {HEADER} and rows."
+            )
+    else:
+        columns, missing = parse_columns(text, ("time", "acceleration"), _ALIASES, str(path))
+        if missing:
+            raise FileError("is no table of accelerations.", where=str(path), remedy=f"Give the header {HEADER}.")
+        rows = np.stack([columns["time"], columns["acceleration"]], axis=1)
+    if len(rows) < 2:
+        raise FileError("has fewer than two rows.", where=str(path), remedy="Give a row for each sample.")
     with np.errstate(over="ignore"):
         samples = rows[:, 1].astype(np.float32)
     if not (np.isfinite(rows).all() and np.isfinite(samples).all()):
         raise FileError("some values are not finite.", where=str(path), remedy=REEXPORT_REMEDY)
     seed, facts = read_sidecar_provenance(path) or (options.seed, {"source": path.name})
-    return Signal(samples, _infer_rate(rows[:, 0], path), seed, facts)
+    rate = _infer_rate(rows[:, 0], path)
+    if rate < DOUBTED_RATE_HZ:
+        facts = facts | {"doubt": f"time_s steps by {1.0 / rate:g} s: is it in milliseconds? Then write time_ms"}
+    return Signal(samples, rate, seed, facts)
 
 
 def _infer_rate(time: NDArray[np.float64], path: Path) -> float:

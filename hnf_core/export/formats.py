@@ -19,18 +19,32 @@ from pathlib import Path
 
 from ..errors import UsageError
 from ..signal import Signal
-from .ahap import read_ahap, write_ahap
-from .android import read_android, write_android
+from .ahap import load_ahap, read_ahap, store_ahap, write_ahap
+from .android import (
+    load_android,
+    load_android_xml,
+    read_android,
+    read_android_xml,
+    store_android,
+    store_android_xml,
+    write_android,
+    write_android_xml,
+)
 from .csv_npz import read_csv, read_npz, write_csv, write_npz
+from .envelope import Envelope
+from .foreign_clips import load_haps, load_tact
 from .gltf import read_glb, write_glb
-from .haptic import read_haptic, write_haptic
+from .haptic import load_haptic, read_haptic, store_haptic, write_haptic
 from .hjif import read_hjif, write_hjif
 from .options import ExportOptions, ImportOptions
+from .provenance import EnvelopeFile
 from .wav import LISTEN_FORMAT as LISTEN
 from .wav import fit_full_scale, make_copy_writer, read_wav_scaled, write_listening_copy, write_native_wav
 
 Writer = Callable[[Path, Signal, ExportOptions], tuple[str, ...]]
 Reader = Callable[[Path, ImportOptions], Signal]
+Loader = Callable[[Path, ImportOptions], EnvelopeFile]
+Storer = Callable[[Path, Envelope, Signal, ExportOptions], tuple[str, ...]]
 Fit = Callable[[Signal, ExportOptions], ExportOptions]
 
 
@@ -59,6 +73,8 @@ class Format:
         a waveform.
     fit : callable or None
         Derives the full scale from the signal itself; None if the options state it.
+    load, store : callable or None
+        Reader and writer of the envelope itself, of formats that hold one; None for `store` if it is only read.
     """
 
     word: str
@@ -71,6 +87,8 @@ class Format:
     surface: bool = False
     sampled: bool = True
     fit: Fit | None = None
+    load: Loader | None = None
+    store: Storer | None = None
 
     def fitted(self, signal: Signal, options: ExportOptions) -> ExportOptions:
         """Return the options that a file of `signal` is written with: with the full scale of `fit`, if there is one."""
@@ -107,17 +125,23 @@ FORMATS: dict[str, Format] = {
         Format(
             "haptic", ".haptic", "Meta Haptics (Lofelt) 1.0.0: strength and frequency over time",
             f"{_LOFELT}; not played on a device", write_haptic, read_haptic, sampled=False,
+            load=load_haptic, store=store_haptic,
         ),
         Format(
             "ahap", ".ahap", "Apple Core Haptics: strength and sharpness over time",
             "Apple's documentation of its keys, ranges and the 30 s; the 16 points a curve are Lofelt's converter's; "
             "not loaded by Core Haptics, which runs on Apple's systems alone",
-            write_ahap, read_ahap, sampled=False,
+            write_ahap, read_ahap, sampled=False, load=load_ahap, store=store_ahap,
         ),
         Format(
             "android", ".json", "Android waveform: timings and amplitudes of VibrationEffect.createWaveform",
-            "the method's documentation; Android has no file format for it; not played on a device",
-            write_android, read_android, sampled=False,
+            "the method's documentation; not played on a device",
+            write_android, read_android, sampled=False, load=load_android, store=store_android,
+        ),
+        Format(
+            "android-xml", ".xml", "Android 16 envelope: intensity and sharpness over time, as Android's own XML",
+            "the rules of Android's parser (com.android.internal.vibrator.persistence); not played on a device",
+            write_android_xml, read_android_xml, sampled=False, load=load_android_xml, store=store_android_xml,
         ),
         Format(
             "hjif", ".hjif", "MPEG haptics (ISO/IEC 23090-31): the vibration; given the surface, with its vertices",
@@ -143,7 +167,9 @@ FORMATS: dict[str, Format] = {
 }  # fmt: skip
 
 
-SUFFIXES = tuple(sorted({each.suffix for each in FORMATS.values()}))
+FOREIGN_LOADERS: dict[str, Loader] = {".tact": load_tact, ".haps": load_haps}
+"""Readers of the envelopes of other programs, by suffix; these formats are not written."""
+SUFFIXES = tuple(sorted({each.suffix for each in FORMATS.values()} | set(FOREIGN_LOADERS)))
 
 
 def format_of(word: str) -> Format:
@@ -151,6 +177,13 @@ def format_of(word: str) -> Format:
     if word not in FORMATS:
         raise UsageError(f"there is no format '{word}'.", remedy=f"There are: {', '.join(FORMATS)}.")
     return FORMATS[word]
+
+
+def find_loader(path: Path) -> Loader | None:
+    """Return the reader of a file's envelope, by its suffix; None if it holds no envelope or is of an unknown kind."""
+    suffix = path.suffix.lower()
+    matching = (form.load for form in FORMATS.values() if form.suffix == suffix)
+    return FOREIGN_LOADERS.get(suffix) or next(matching, None)
 
 
 def format_of_file(path: Path) -> Format:

@@ -30,7 +30,14 @@ from .envelope import (
 )
 from .json_reader import JsonReader, read_json, write_json
 from .options import ExportOptions, ImportOptions
-from .provenance import SOFTWARE, EnvelopeFile, Provenance, encode_provenance, make_rendered_provenance, parse_provenance
+from .provenance import (
+    SOFTWARE,
+    EnvelopeFile,
+    Provenance,
+    encode_provenance,
+    make_rendered_provenance,
+    parse_provenance,
+)
 
 VERSION = {"major": 1, "minor": 0, "patch": 0}
 _DIGITS = 6

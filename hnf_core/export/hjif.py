@@ -466,6 +466,8 @@ MAX_TICKS = 2**31 - 1
 MAX_READ_SAMPLES = 20_000_000
 MAX_GAIN = 1e45
 """Largest accepted gain: the largest float32 over the smallest full scale."""
+READ_MODALITIES = ("Vibrotactile", "VibrotactileTexture", "Acceleration", "Other")
+"""Modalities whose numbers can be an acceleration; a temperature, say, cannot."""
 _REFERENCE_REMEDY = "Render it with MPEG's reference software, and import the WAV."
 
 
@@ -490,14 +492,26 @@ def read_hjif(path: Path, options: ImportOptions) -> Signal:
         for record in reading.get_array(tree, "perceptions")
     ]
     channels_found = [(perception, channel) for perception, channels in perceptions for channel in channels]
-    if len(channels_found) != 1:
-        raise reading.make_error(f"has {len(channels_found)} channels, and a vibration has one")
-    perception, channel = channels_found[0][0], _require_object(reading, channels_found[0][1])
+    number = options.channel or 1
+    if not channels_found or not 1 <= number <= len(channels_found):
+        raise reading.make_error(f"has {len(channels_found)} channels, and no channel {number}")
+    if options.channel is None and len(channels_found) > 1:
+        raise reading.make_error(
+            f"has {len(channels_found)} channels, and a vibration has one",
+            f"Choose one: --channel 1 … {len(channels_found)}.",
+        )
+    perception, channel = channels_found[number - 1][0], _require_object(reading, channels_found[number - 1][1])
+    modality = perception.get("perception_modality", "Vibrotactile")
+    if modality not in READ_MODALITIES:
+        raise reading.make_error(
+            f"holds the modality '{modality!s:.40}', and no vibration",
+            f"Give a file of {' or '.join(READ_MODALITIES)}, or choose such a channel with --channel.",
+        )
     timescale = _read_integer(reading, tree, "timescale", 1, 10**6, DEFAULT_TIMESCALE)
     rate = _read_integer(reading, channel, "frequency_sampling", 1, 10**6, int(options.rate_hz))
     library = {
         _read_integer(reading, record, "id", -1, MAX_TICKS): record
-        for record in reading.get_array(perception, "effect_library")
+        for record in (reading.get_array(perception, "effect_library") if "effect_library" in perception else ())
     }
     effects = list(_iter_effects(reading, channel, library, timescale))
     last_sample = int(max((effect.end for _, effect in effects), default=-1.0) * rate // timescale)
@@ -510,7 +524,7 @@ def read_hjif(path: Path, options: ImportOptions) -> Signal:
         first, values = BAND_RENDERERS[band](effect, ticks)
         relative[first : first + len(values)] += values
     exponent = _read_integer(reading, perception, "perception_unit_exponent", -128, 127, 0)
-    gain = reading.get_number(channel, "gain", -MAX_GAIN, MAX_GAIN) * 10.0**exponent
+    gain = _read_default(reading, channel, "gain", -MAX_GAIN, MAX_GAIN, 1.0) * 10.0**exponent
     scale = _read_scale(tree.get("description"), options)
     with np.errstate(over="ignore"):
         samples = np.asarray(relative * (gain * scale.full_scale), dtype=np.float32)
@@ -530,16 +544,14 @@ def _iter_effects(
         band = _require_object(reading, row)
         kind = band.get("band_type")
         if not isinstance(kind, str) or kind not in BAND_RENDERERS:
-            error = reading.make_error(
-                f"holds a band of type '{kind}', and only {', '.join(BAND_RENDERERS)} can be read"
+            raise reading.make_error(
+                f"holds a band of type '{kind}', and only {', '.join(BAND_RENDERERS)} can be read", _REFERENCE_REMEDY
             )
-            error.remedy = _REFERENCE_REMEDY
-            raise error
         curve = band.get("curve_type", "Cubic")
         if kind == "Curve" and curve not in ("Cubic", "Linear"):
             raise reading.make_error(f"holds a curve of type '{curve}', and only Cubic and Linear can be read")
-        low = reading.get_number(band, "lower_frequency_limit", 0.0, 1e6)
-        high = reading.get_number(band, "upper_frequency_limit", 0.0, 1e6)
+        low = _read_default(reading, band, "lower_frequency_limit", 0.0, 1e6, 0.0)
+        high = _read_default(reading, band, "upper_frequency_limit", 0.0, 1e6, 1000.0)
         effects = sorted(
             (
                 _read_effect(reading, _require_object(reading, record), library)
@@ -572,9 +584,16 @@ def _read_effect(reading: JsonReader, row: dict[str, Any], library: dict[int, di
         position=position,
         amplitude=_read_values(reading, keyframes, "amplitude_modulation", 1e6),
         frequency=_read_values(reading, keyframes, "frequency_modulation", 1e6),
-        phase=reading.get_number(row, "phase", -1e6, 1e6),
+        phase=_read_default(reading, row, "phase", -1e6, 1e6, 0.0),
         shape=signal if isinstance(signal, str) else "Sine",
     )
+
+
+def _read_default(
+    reading: JsonReader, owner: dict[str, Any], name: str, low: float, high: float, default: float
+) -> float:
+    """Return the number `name` of `owner`, or what the reference software takes where there is none."""
+    return default if owner.get(name) is None else reading.get_number(owner, name, low, high)
 
 
 def _read_values(reading: JsonReader, keyframes: list[dict[str, Any]], name: str, largest: float) -> Float:

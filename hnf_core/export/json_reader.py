@@ -75,8 +75,8 @@ class JsonReader:
     def __init__(self, path: Path) -> None:
         self._where = str(path)
 
-    def make_error(self, why: str) -> FileError:
-        return FileError(f"{why}.", where=self._where, remedy=REEXPORT_REMEDY)
+    def make_error(self, why: str, remedy: str = REEXPORT_REMEDY) -> FileError:
+        return FileError(f"{why}.", where=self._where, remedy=remedy)
 
     def get_object(self, owner: dict[str, Any], name: str) -> dict[str, Any]:
         """Return the value of key `name` of `owner`, which must be an object."""

@@ -35,7 +35,14 @@ from ..field.resampling import resample
 from ..files import describe_content, refuse_pointer, write_atomically, write_bytes
 from ..signal import Signal
 from .envelope import format_clipped
-from .options import MAX_FULL_SCALE_M_S2, MIN_FULL_SCALE_M_S2, ExportOptions, ImportOptions, get_finite_samples, require_samples
+from .options import (
+    MAX_FULL_SCALE_M_S2,
+    MIN_FULL_SCALE_M_S2,
+    ExportOptions,
+    ImportOptions,
+    get_finite_samples,
+    require_samples,
+)
 
 UNITS = "m/s^2"
 SCHEMA = 1
@@ -47,7 +54,20 @@ _MIN_UNTOLD_SIZE = 2**31 - 4096
 Writers that cannot return to the header leave 0xFFFFFFFF (ffmpeg), 0x7FFFF000 (SoX) or 2³¹ less the header (arecord);
 one that is killed leaves 0 (Python's wave, GStreamer).
 """
-_CHUNK_TAGS = (b"fact", b"LIST", b"cue ", b"bext", b"smpl", b"id3 ", b"ID3 ", b"PEAK", b"JUNK", b"iXML", b"inst", b"data")
+_CHUNK_TAGS = (
+    b"fact",
+    b"LIST",
+    b"cue ",
+    b"bext",
+    b"smpl",
+    b"id3 ",
+    b"ID3 ",
+    b"PEAK",
+    b"JUNK",
+    b"iXML",
+    b"inst",
+    b"data",
+)
 """Chunks that may follow an empty data chunk; anything else there are samples whose size was never filled in."""
 _FRAMES_PER_BLOCK = 2**16
 UNTOLD_SIZE = "its header never told how long it is, so all that follows counts as samples"

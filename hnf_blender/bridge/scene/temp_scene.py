@@ -86,9 +86,9 @@ class TemporaryScene:
     def folder(self) -> Path:
         """Temporary folder that exists as long as this context manager is active."""
         if self._folder is None:
-            import tempfile  # imported late: users of TEMP_SCENE_NAME need no folders
+            from hnf_core.files import make_run_folder  # imported late: users of TEMP_SCENE_NAME need no folders
 
-            self._folder = tempfile.TemporaryDirectory(prefix="hnf-")
+            self._folder = make_run_folder("scene")
         return Path(self._folder.name)
 
     @property

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...errors import DeviceError
+from ...errors import DeviceError, UsageError
 from ..runtime import import_optional
 from ..sink import Counts, SinkFormat, SinkStatus
 from .fading_queue import RAMP_S, FadingQueue
@@ -57,9 +57,29 @@ class AudioSink:
         Number of channels.
     queue_s : float
         Longest queue [s], if the sound system can do with less itself.
+    channel_map : tuple of int
+        Output channel, counted from 1, of each channel; all other outputs stay silent. Empty: the first ones.
     """
 
-    def __init__(self, device: str | int | None = None, channels: int = 1, *, queue_s: float = QUEUE_S) -> None:
+    def __init__(
+        self,
+        device: str | int | None = None,
+        channels: int = 1,
+        *,
+        queue_s: float = QUEUE_S,
+        channel_map: tuple[int, ...] = (),
+    ) -> None:
+        if channel_map and channels == 1:
+            channels_of_one = (0,) * len(channel_map)  # one vibration goes to every output that is named
+        elif channel_map and len(channel_map) != channels:
+            raise UsageError(
+                f"{channels} channels do not fit the outputs {','.join(map(str, channel_map))}.",
+                remedy=f"Name {channels} outputs.",
+            )
+        else:
+            channels_of_one = tuple(range(channels))
+        self._sources, self._outputs = channels_of_one, tuple(number - 1 for number in channel_map) or channels_of_one
+        self._width = max(self._outputs) + 1
         self._device, self._channels, self._queue_s = device, channels, queue_s
         self._stream: Any = None
         self._queue = FadingQueue(1, channels, 1)
@@ -78,7 +98,7 @@ class AudioSink:
             stream = sounddevice.RawOutputStream(
                 samplerate=rate,
                 device=self._device,
-                channels=self._channels,
+                channels=self._width,
                 dtype="int16",
                 latency=SYSTEM_LATENCY_SHARE * self._queue_s if low_s <= self._queue_s else low_s,
                 callback=self._fill_output,
@@ -182,8 +202,9 @@ class AudioSink:
             else:
                 queue.push(item)
                 pushed += len(item)
-        out = np.frombuffer(data, dtype=np.int16).reshape(frames, self._channels)
-        out[:] = queue.advance(frames)
+        out = np.frombuffer(data, dtype=np.int16).reshape(frames, self._width)
+        out[:] = 0
+        out[:, self._outputs] = queue.advance(frames)[:, self._sources]
         missed = previous.missed + bool(flags.output_underflow)
         self._callback_status = _CallbackStatus(
             previous.requested + frames, pushed, queue.queued, queue.played, queue.underruns, missed, queue.is_silent

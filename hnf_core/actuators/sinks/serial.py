@@ -129,6 +129,8 @@ def _format_reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
+CONNECT_S = 10.0
+"""Longest wait for a device to answer [s]: opening its port resets many boards, whose bootloader takes seconds."""
 BAUDRATE = 3_000_000
 """Usual baud rate of the protocol."""
 DEFAULT_RATE_HZ = 8000
@@ -208,7 +210,7 @@ class SerialSink:
         peak: int = FULL_SCALE_COUNTS,
         slew_per_s: float = math.inf,
         versions: tuple[int, int] = (VERSION, VERSION),
-        reply_timeout_s: float = 2.0,
+        reply_timeout_s: float = CONNECT_S,
         clock: Callable[[], float] | None = None,
     ) -> None:
         if not 1 <= channels <= 255:

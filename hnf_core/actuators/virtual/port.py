@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import DeviceError
+from ...files import make_run_folder
 from ..limits import FULL_SCALE_COUNTS
 from ..runtime import request_realtime_priority
 from ..serial_protocol import State
@@ -114,7 +113,6 @@ READ_BYTES = 65_536
 MAX_PENDING_BYTES = 4096
 """Output that waits for a host that does not read [bytes]; more is lost, as on any wire."""
 
-_FOLDER_PREFIX = "hnf-virtual-"
 """Start of the name of a port's folder, followed by the owner's process number."""
 
 WireFilter = Callable[[bytes], bytes]
@@ -178,8 +176,7 @@ class VirtualPort:
         self.baud: int | None = None
         self.from_host: WireFilter = _pass_through
         self.to_host: WireFilter = _pass_through
-        _remove_abandoned()
-        self._folder = tempfile.TemporaryDirectory(prefix=f"{_FOLDER_PREFIX}{os.getpid()}-")
+        self._folder = make_run_folder("virtual")
         self.path = str(Path(self._folder.name) / "port")
         self._lock = threading.RLock()
         self._descriptors: tuple[int, int] | None = None
@@ -292,24 +289,6 @@ class VirtualPort:
         except OSError:
             data = b""
         self._pending = data if len(data) <= MAX_PENDING_BYTES else b""
-
-
-def _remove_abandoned() -> None:
-    """Remove the folders of processes that were killed before they could do so."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{_FOLDER_PREFIX}*-*"):
-        owner = folder.name.removeprefix(_FOLDER_PREFIX).partition("-")[0]
-        if owner.isdecimal() and not _is_alive(int(owner)):
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def _is_alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:
-        pass
-    return True
 
 
 REST_TIMEOUT_S = 0.1

@@ -1,0 +1,252 @@
+"""Haptic files mean the same after any way round: duration, level and clicks of the envelopes they hold."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hnf_core.errors import FileError
+from hnf_core.export.convert import convert_envelope, import_signal
+from hnf_core.export.envelope import EMPHASIS_DURATION_S, Emphasis, Envelope
+from hnf_core.export.formats import FORMATS, find_loader
+from hnf_core.export.haptic import encode_haptic, load_haptic
+from hnf_core.export.options import ExportOptions, ImportOptions
+
+CASES = Path(__file__).parents[4] / "shared" / "cases"
+OPTIONS = ImportOptions(30.0)
+
+
+def rms(signal) -> float:
+    return float(np.sqrt(np.mean(np.square(signal.samples.astype(np.float64)))))
+
+
+@st.composite
+def haptic_files(draw) -> dict:
+    """Return the JSON of a .haptic file: any rising times, levels, emphases and frequencies, as others write them."""
+    count = draw(st.integers(2, 12))
+    steps = draw(st.lists(st.sampled_from([0.0, 5e-6, 0.003, 0.02, 0.15, 0.4]), min_size=count, max_size=count))
+    time = np.cumsum(steps)
+    share = st.integers(0, 1000).map(lambda number: number / 1000)
+    points = []
+    for at in time.tolist():
+        point = {"time": at, "amplitude": draw(share)}
+        if draw(st.integers(0, 2)) == 0:
+            level = draw(st.floats(max(point["amplitude"], 0.05), 1.0))
+            point["emphasis"] = {"amplitude": level, "frequency": draw(share)}
+        points.append(point)
+    tones = [{"time": at, "frequency": draw(share)} for at in time.tolist()] if draw(st.booleans()) else []
+    envelopes = {"amplitude": points, "frequency": tones}
+    return {"version": {"major": 1, "minor": 0, "patch": 0}, "signals": {"continuous": {"envelopes": envelopes}}}
+
+
+def convert(source: Path, word: str, target: Path):
+    clip = find_loader(source)(source, OPTIONS)
+    options = ExportOptions(clip.origin.full_scale_m_s2, clip.origin.range_hz)
+    return convert_envelope(clip, source, FORMATS[word], target, options)
+
+
+@settings(max_examples=60)
+@given(haptic_files(), st.sampled_from([("ahap", "haptic"), ("haptic", "ahap"), ("ahap", "ahap", "haptic")]))
+def test_clicks_level_and_duration_survive(tmp_path_factory, record, way):
+    folder = tmp_path_factory.mktemp("way")
+    path = folder / "source.haptic"
+    path.write_text(json.dumps(record))
+    before = load_haptic(path, OPTIONS)
+    if before.envelope.duration_s < 0.02:
+        return
+    source, first = path, before.render(10_000, 0, "x")
+    for number, word in enumerate(way):
+        target = folder / f"{number}{FORMATS[word].suffix}"
+        convert(source, word, target)
+        source = target
+    after = find_loader(source)(source, OPTIONS)
+    assert after.envelope.duration_s == pytest.approx(before.envelope.duration_s, abs=1e-3)
+    level_before, level_after = rms(first), rms(after.render(10_000, 0, "x"))
+    if level_before > 0.01:
+        assert abs(20 * np.log10(level_after / level_before)) < 0.5
+    assert len(after.envelope.emphases) == len(before.envelope.emphases)
+    for old, new in zip(before.envelope.emphases, after.envelope.emphases, strict=True):
+        assert new.time_s == pytest.approx(old.time_s, abs=5e-3)
+
+
+def test_levels_and_frequencies_of_clicks(tmp_path):
+    clicks = tuple(Emphasis(0.1 + 0.05 * index, 3.0 + index, 100.0 + 50.0 * index) for index in range(10))
+    envelope = Envelope(np.array([0.0, 1.0]), np.array([2.0, 1.0]), np.array([80.0, 300.0]), clicks)
+    refined = Envelope(
+        np.unique(np.append(np.linspace(0, 1, 201), [click.time_s for click in clicks])), *(2 * [None]), ()
+    )
+    time = refined.time
+    envelope = Envelope(time, np.interp(time, [0, 1], [2.0, 1.0]), np.interp(time, [0, 1], [80.0, 300.0]), clicks)
+    record, _ = encode_haptic(envelope, ExportOptions(30.0, (20.0, 1000.0)))
+    (tmp_path / "a.haptic").write_text(json.dumps(record))
+    convert(tmp_path / "a.haptic", "ahap", tmp_path / "b.ahap")
+    found = find_loader(tmp_path / "b.ahap")(tmp_path / "b.ahap", OPTIONS).envelope.emphases
+    assert len(found) == len(clicks)
+    for old, new in zip(clicks, found, strict=True):
+        assert abs(20 * np.log10(new.amplitude / old.amplitude)) < 0.1
+        assert new.frequency_hz == pytest.approx(old.frequency_hz, rel=0.02)
+
+
+@pytest.mark.parametrize("word", ["haptic", "ahap"])
+@pytest.mark.parametrize("level", [0.3, 1.0])
+def test_rendered_clicks_are_found_again(tmp_path, word, level):
+    points = [{"time": 0, "amplitude": 0}]
+    times = (0.1, 0.4, 0.7, 1.0)
+    points += [{"time": at, "amplitude": 0, "emphasis": {"amplitude": level, "frequency": 0.5}} for at in times]
+    points.append({"time": 1.2, "amplitude": 0})
+    record = {"version": {"major": 1}, "signals": {"continuous": {"envelopes": {"amplitude": points}}}}
+    (tmp_path / "taps.haptic").write_text(json.dumps(record))
+    signal = import_signal(tmp_path / "taps.haptic", OPTIONS)
+    target = tmp_path / f"again{FORMATS[word].suffix}"
+    FORMATS[word].write(target, signal, ExportOptions(30.0))
+    found = FORMATS[word].load(target, OPTIONS).envelope.emphases
+    assert [click.time_s for click in found] == pytest.approx(times, abs=5e-3)
+    assert [click.amplitude for click in found] == pytest.approx([30.0 * level] * 4, rel=0.1)
+
+
+@pytest.mark.parametrize("last", [0.0, 0.299, 0.3])
+def test_a_click_at_the_end_is_whole(tmp_path, last):
+    points = [{"time": 0.0, "amplitude": 0.1}] if last else []
+    points += [{"time": last, "amplitude": 0.1, "emphasis": {"amplitude": 1, "frequency": 0.5}}]
+    points += [{"time": max(last + 5e-6, 0.3 if last else 0.0), "amplitude": 0}]
+    record = {"version": {"major": 1}, "signals": {"continuous": {"envelopes": {"amplitude": points}}}}
+    (tmp_path / "end.haptic").write_text(json.dumps(record))
+    signal = import_signal(tmp_path / "end.haptic", OPTIONS)
+    assert signal.duration_s == pytest.approx(last + 0.5 * EMPHASIS_DURATION_S, abs=2e-4)
+    assert np.abs(signal.samples).max() == pytest.approx(30.0, rel=0.01)
+
+
+def make_curve(start: float, points: list[tuple[float, float]], origin: float) -> dict:
+    rows = [{"Time": origin + at, "ParameterValue": value} for at, value in points]
+    curve = {"ParameterID": "HapticIntensityControl", "Time": start, "ParameterCurveControlPoints": rows}
+    return {"ParameterCurve": curve}
+
+
+@given(st.lists(st.floats(0.05, 0.5), min_size=1, max_size=5))
+def test_either_origin_of_control_points_means_the_same(tmp_path_factory, lengths):
+    folder, edges = tmp_path_factory.mktemp("origin"), np.concatenate([[0.0], np.cumsum(lengths)]).tolist()
+    event = {"Time": 0.0, "EventType": "HapticContinuous", "EventDuration": edges[-1], "EventParameters": []}
+    read = []
+    for name, of_pattern in (("apple", 0.0), ("studio", 1.0)):
+        curves = [
+            make_curve(start, [(0.0, 0.2), (stop - start, 0.9)], of_pattern * start) for start, stop in pairwise(edges)
+        ]
+        (folder / f"{name}.ahap").write_text(json.dumps({"Version": 1.0, "Pattern": [{"Event": event}, *curves]}))
+        read.append(import_signal(folder / f"{name}.ahap", OPTIONS))
+    np.testing.assert_allclose(read[0].samples, read[1].samples, atol=1e-3)
+    if len(lengths) > 1:
+        assert "from the start of the pattern" in read[1].provenance["assumed"]
+        assert "from the start of their curve" in read[0].provenance["assumed"]
+
+
+def write_json(path: Path, record: dict) -> Path:
+    path.write_text(json.dumps(record))
+    return path
+
+
+def test_android_as_programs_call_it(tmp_path):
+    default = import_signal(
+        write_json(tmp_path / "d.json", {"timings": [0, 100, 50], "amplitudes": [0, -1, 0]}), OPTIONS
+    )
+    assert np.abs(default.samples).max() == pytest.approx(30.0, rel=1e-2)
+    assert "default" in default.provenance["assumed"]
+    pattern = import_signal(write_json(tmp_path / "p.json", {"timings": [0, 100, 50, 100], "repeat": -1}), OPTIONS)
+    assert pattern.duration_s == pytest.approx(0.25)
+    assert not pattern.samples[1010:1490].any()
+    assert np.abs(pattern.samples[1510:]).max() > 29
+    again = {"timings": [100, 50], "amplitudes": [255, 0], "repeat": 0}
+    assert "once" in import_signal(write_json(tmp_path / "r.json", again), OPTIONS).provenance["assumed"]
+    with pytest.raises(FileError):
+        import_signal(write_json(tmp_path / "x.json", {"timings": [100], "amplitudes": [-0.5]}), OPTIONS)
+
+
+def test_android_xml_of_every_kind(tmp_path):
+    path = tmp_path / "e.xml"
+    path.write_text(
+        '<vibration-effect><basic-envelope-effect initialSharpness="0.3">'
+        '<control-point intensity="0.5" sharpness="0.5" durationMs="100" />'
+        '<control-point intensity="0.0" sharpness="0.5" durationMs="100" />'
+        "</basic-envelope-effect></vibration-effect>"
+    )
+    envelope = find_loader(path)(path, OPTIONS).envelope
+    assert envelope.duration_s == pytest.approx(0.2)
+    assert np.interp(0.05, envelope.time, envelope.amplitude) == pytest.approx(7.5)
+    path.write_text(
+        '<vibration-effect><waveform-effect><waveform-entry amplitude="default" durationMs="40"/>'
+        '<repeating><waveform-entry amplitude="51" durationMs="60"/></repeating></waveform-effect></vibration-effect>'
+    )
+    clip = find_loader(path)(path, OPTIONS)
+    assert clip.envelope.duration_s == pytest.approx(0.1)
+    assert "repeating" in clip.facts["assumed"]
+    assert np.interp([0.02, 0.08], clip.envelope.time, clip.envelope.amplitude) == pytest.approx([30.0, 6.0])
+    path.write_text('<vibration-effect><primitive-effect name="click" scale="0.5" delayMs="100"/></vibration-effect>')
+    clicks = find_loader(path)(path, OPTIONS).envelope.emphases
+    assert len(clicks) == 1
+    assert clicks[0].amplitude == pytest.approx(15.0)
+    path.write_text("<other/>")
+    with pytest.raises(FileError, match="other"):
+        find_loader(path)(path, OPTIONS)
+
+
+def test_hjif_with_what_the_reference_software_leaves_out(tmp_path):
+    frames = [{"relative_position": at, "amplitude_modulation": 0.5, "frequency_modulation": 100} for at in (0, 1000)]
+    band = {"band_type": "VectorialWave", "effects": [{"effect_type": "Basis", "position": 0, "keyframes": frames}]}
+    channels = [{"bands": [band]}, {"gain": 2.0, "bands": [band]}]
+    tree = {"perceptions": [{"perception_modality": "Vibrotactile", "channels": channels[:1]}]}
+    signal = import_signal(write_json(tmp_path / "a.hjif", tree), OPTIONS)
+    assert signal.duration_s == pytest.approx(1.0, abs=1e-3)
+    assert rms(signal) == pytest.approx(10.6, rel=0.01)
+    tree["perceptions"][0]["channels"] = channels
+    with pytest.raises(FileError, match="--channel"):
+        import_signal(write_json(tmp_path / "b.hjif", tree), OPTIONS)
+    second = import_signal(tmp_path / "b.hjif", ImportOptions(30.0, channel=2))
+    assert rms(second) == pytest.approx(21.2, rel=0.01)
+    tree["perceptions"][0] |= {"perception_modality": "Temperature", "channels": channels[:1]}
+    with pytest.raises(FileError, match="Temperature"):
+        import_signal(write_json(tmp_path / "c.hjif", tree), OPTIONS)
+
+
+def test_clips_of_other_makers(tmp_path):
+    dot = {"startTime": 0, "endTime": 100, "playbackType": "FADE_OUT", "pointList": [{"index": 1, "intensity": 0.5}]}
+    path = {
+        "playbackType": "NONE",
+        "pointList": [{"x": "0", "intensity": "1.0", "time": 0}, {"intensity": 1, "time": 50}],
+    }
+    modes = {
+        "Left": {"mode": "DOT_MODE", "dotMode": {"feedback": [dot]}},
+        "Right": {"mode": "PATH_MODE", "pathMode": {"feedback": [path]}},
+    }
+    tact = {"project": {"tracks": [{"enable": True, "effects": [{"startTime": 200, "modes": modes}]}]}}
+    envelope = find_loader(Path("x.tact"))(write_json(tmp_path / "x.tact", tact), OPTIONS).envelope
+    assert envelope.duration_s == pytest.approx(0.3)
+    assert np.interp([0.1, 0.22, 0.275], envelope.time, envelope.amplitude) == pytest.approx([0.0, 30.0, 3.75])
+    keys = [{"m_time": 0, "m_value": 1.0}, {"m_time": 0.5, "m_value": 0.0}]
+    hertz = [{"m_time": 0, "m_value": 65.0}, {"m_time": 0.5, "m_value": 165.0}]
+    effect = {"m_amplitudeModulation": {"m_keyframes": keys}, "m_frequencyModulation": {"m_keyframes": hertz}}
+    notes = [
+        {"m_startingPoint": 0.0, "m_length": 0.5, "m_gain": 0.5, "m_hapticEffect": effect},
+        {"m_startingPoint": 0.6, "m_length": 0.022, "m_gain": 1.0, "m_hapticEffect": {"m_type": 0}},
+    ]
+    haps = {"m_vibration": {"m_melodies": [{"m_mute": 0, "m_gain": 1.0, "m_notes": notes}]}, "m_gain": 1.0}
+    envelope = find_loader(Path("x.haps"))(write_json(tmp_path / "x.haps", haps), OPTIONS).envelope
+    assert np.interp(0.25, envelope.time, envelope.amplitude) == pytest.approx(7.5)
+    assert np.interp(0.25, envelope.time, envelope.frequency) == pytest.approx(115.0)
+    assert [click.time_s for click in envelope.emphases] == pytest.approx([0.611])
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not at hand")
+@pytest.mark.parametrize("name", ["taps.haptic", "taps.ahap"])
+def test_case_of_taps(tmp_path, name):
+    source = CASES / "clicks-do-not-survive" / name
+    for word in ("haptic", "ahap"):
+        target = tmp_path / f"t{FORMATS[word].suffix}"
+        convert(source, word, target)
+        clicks = FORMATS[word].load(target, OPTIONS).envelope.emphases
+        assert [click.time_s for click in clicks] == pytest.approx([0.1, 0.4, 0.7, 1.0], abs=5e-3)
+        assert [click.amplitude for click in clicks] == pytest.approx([30.0] * 4, rel=0.1)
