@@ -303,7 +303,7 @@ def _find_chunks(data: memoryview, path: Path) -> tuple[dict[bytes, memoryview],
     end, at = len(data), 12
     stated = struct.unpack_from("<I", data, 4)[0]
     long_data = None
-    if data[:4] == b"RIFF" and 36 <= stated < min(end - 8, _MIN_UNTOLD_SIZE):
+    if bytes(data[:4]) == b"RIFF" and 36 <= stated < min(end - 8, _MIN_UNTOLD_SIZE):
         end = stated + 8
     chunks: dict[bytes, memoryview] = {}
     while at + 8 <= end:
