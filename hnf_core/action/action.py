@@ -17,9 +17,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from ..datasets.data_files import parse_columns, read_text
 from ..errors import FileError, StrokeError
 from ..files import write_text
+from ..tables import parse_columns, read_text
 
 ACTION_RATE_HZ = 200.0
 """Rate at which the field is evaluated and then interpolated [Hz]; an artist's stroke has nothing above about 20 Hz."""
@@ -280,7 +280,7 @@ def read_action_csv(
     try:
         with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
             titles = {cell.strip() for cell in stream.readline(MAX_HEADER_LENGTH).split(",")}
-        if titles.isdisjoint(CSV_COLUMNS):
+        if not titles.issuperset(CSV_COLUMNS):
             header, table = _read_own_table(path)
         else:
             with path.open(newline="", encoding="utf-8-sig") as stream:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ..action.action import ACTION_RATE_HZ, Action
 from ..errors import FileError
 from ..signal import dft321
-from .data_files import find_files, parse_unit_factor, read_table
+from ..tables import parse_unit_factor, read_table
+from .data_files import find_files
 from .recording import ActionRange, DataSet, Recording, compute_action_range, match_name
 from .time_series import (
     SIGNAL_RATE_HZ,

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError
-from .data_files import MAX_MEASURABLE, find_files, is_measurable, parse_unit_factor, read_head, read_xml
+from ..tables import MAX_MEASURABLE, is_measurable, parse_unit_factor
+from .data_files import find_files, read_head, read_xml
 from .hatt_models import TextureModel, read_texture_model
 from .hatt_synthesis import PROCESS_RATE_HZ, HattProcess
 from .recording import ActionRange, DataSet, Recording, compute_action_range, match_name, normalise_name

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import FileError
-from .data_files import MAX_MEASURABLE, is_measurable, parse_unit_factor, read_xml
+from ..tables import MAX_MEASURABLE, is_measurable, parse_unit_factor
+from .data_files import read_xml
 
 Float = NDArray[np.float64]
 

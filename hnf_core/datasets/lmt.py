@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from ..errors import FileError
 from ..signal import dft321
-from .data_files import find_files, read_numbers
+from ..tables import read_numbers
+from .data_files import find_files
 from .recording import ActionRange, DataSet, Recording, match_name, normalise_name
 from .time_series import SIGNAL_RATE_HZ, build_action, constant_direction, count_action_samples
 

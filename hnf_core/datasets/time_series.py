@@ -186,7 +186,7 @@ def count_action_samples(duration_s: float, where: str) -> int:
         raise FileError(
             f"all its signals together last {max(duration_s, 0.0):.3f} s only.",
             where=where,
-            remedy="The files of this stroke do not belong together, or are cut off.",
+            remedy=f"Record {MIN_DURATION_S:g} s or more; several files must belong to one stroke.",
         )
     return int(duration_s * ACTION_RATE_HZ + 1e-6) + 1
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError
-from .data_files import find_files, parse_unit_factor, read_header, read_table
+from ..tables import parse_unit_factor, read_header, read_table
+from .data_files import find_files
 from .recording import ActionRange, DataSet, Recording, compute_action_range, match_name
 from .time_series import (
     MeasuredSignal,

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.data_files import decode_text, parse_columns
 from ..errors import FileError
 from ..files import refuse_pointer, write_bytes
 from ..signal import Signal
+from ..tables import decode_text, parse_columns
 from .json_reader import REEXPORT_REMEDY, read_limited_bytes
 from .options import ExportOptions, ImportOptions, get_finite_samples
 from .provenance import encode_provenance, read_sidecar_provenance

@@ -23,7 +23,7 @@ LAYERS = (
     ("errors", "text", "progress", "child_process", "dataclass_json"),
     ("units", "files", "signal", "threads"),
     ("kernel",),
-    ("safetensors_io",),
+    ("safetensors_io", "tables"),
     ("scene", "metrics"),
     ("tactile",),
     ("action", "material"),

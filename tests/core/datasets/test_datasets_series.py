@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.datasets.data_files import parse_unit_factor, parse_xml
+from hnf_core.datasets.data_files import parse_xml
 from hnf_core.datasets.time_series import (
     build_action,
     check_time_grid,
@@ -17,6 +17,7 @@ from hnf_core.datasets.time_series import (
     smooth_series,
 )
 from hnf_core.errors import FileError
+from hnf_core.tables import parse_unit_factor
 
 grids = st.integers(0, 2**32).map(lambda seed: np.cumsum(np.random.default_rng(seed).uniform(0.6, 1.4, 40)))
 coefficients = st.tuples(*[st.floats(-3.0, 3.0)] * 3)

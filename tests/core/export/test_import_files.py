@@ -232,14 +232,14 @@ BROKEN_AHAPS: list[tuple[Any, str]] = [
     ({"Pattern": [event(EventDuration=1.0)] * 20_001}, "more than 20000 events"),
 ]
 BROKEN_ANDROIDS: list[tuple[Any, str]] = [
-    ({"timings": [1]}, "'amplitudes' is missing"),
+    ({"timings": [1], "amplitudes": [-0.5]}, "lies between -1 and 0"),
     ({"timings": [1, 2], "amplitudes": [1]}, "2 timings and 1 amplitudes"),
     ({"timings": [-1], "amplitudes": [1]}, "'timing' is -1"),
     ({"timings": [1], "amplitudes": [256]}, "'amplitude' is 256"),
     ({"timings": [1], "amplitudes": ["1"]}, "'amplitude' is no number"),
     ({"timings": [0], "amplitudes": [1]}, "all its timings are 0"),
     ({"timings": [10_000_000] * 9, "amplitudes": [1] * 9}, "more than can be rendered"),
-    ({"timings": [5], "amplitudes": [1], "repeat": 0}, "repeats for ever"),
+    ({"timings": [5], "amplitudes": [1], "repeat": 1}, "'repeat' is 1"),
 ]
 
 
