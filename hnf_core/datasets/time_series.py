@@ -52,7 +52,7 @@ def check_time_grid(time: Float, where: str) -> None:
     not_rising = np.diff(time) < 1e-9
     if not_rising.any():
         row = int(np.argmax(not_rising)) + 2
-        if np.all(np.diff(time) >= 0.0):
+        if np.all(np.diff(time) >= 0.0) and time[-1] > time[0]:
             raise FileError(
                 f"its times are rounded, so that they are equal at sample {row}.",
                 where=where,
