@@ -43,6 +43,10 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         default=DEFAULT_SETTINGS.external_python,
     )
 
+    guide_done: bpy.props.BoolProperty(
+        name="First Steps Done", description="The first steps were finished once", options={"HIDDEN"}
+    )
+
     def draw(self, _context: Any) -> None:
         from .ui.diagnose_panel import draw_cache, draw_external_python
 

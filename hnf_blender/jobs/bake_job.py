@@ -97,8 +97,9 @@ class BakeJob(ChildJob):
     def cancel(self) -> LastJob:
         """Cancel the job; its files are removed and the scene is not changed."""
         if self._prepared.request.probe_object:
-            return self._finish(LastJob(True, tr("Nothing was examined.")))
-        return self._finish(LastJob(True, tr("Bake cancelled. Nothing was changed; finished close-ups are kept.")))
+            return self._finish(LastJob(True, tr("Nothing was examined."), is_cancelled=True))
+        message = tr("Bake canceled. Nothing was changed; finished close-ups are kept.")
+        return self._finish(LastJob(True, message, is_cancelled=True))
 
     def _finish(self, outcome: LastJob) -> LastJob:
         scene = find_target_scene(self._prepared.target)

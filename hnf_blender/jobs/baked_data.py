@@ -24,7 +24,7 @@ from ..touch.bake_plan import (
     estimate_max_patches,
     plan_slots,
 )
-from ..touch.bake_storage import check_validity, clear_bake, count_stored_bytes, has_tokens
+from ..touch.bake_storage import check_hidden, check_validity, clear_bake, count_stored_bytes, has_tokens
 from ..touch.report import Freshness, StrokeStatus
 from ..touch.session import GatheredJobs, Session, StrokeJob, add_scene_notes, gather_curve_jobs, make_scene_session
 from ..translations import tr
@@ -66,7 +66,9 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
     if needed:
         seconds += CHILD_START_SECONDS
     for failure in gathered.failed:
-        statuses[failure.stroke] = StrokeStatus(Freshness.BROKEN, failure.why)
+        obj = find_object(scene, failure.stroke)
+        hidden = None if obj is None else check_hidden(scene, view_layer, obj)
+        statuses[failure.stroke] = hidden or StrokeStatus(Freshness.BROKEN, failure.why)
         lines.append(PlanLine("failed", stroke_label.format(name=failure.stroke), failure.why))
     lines += [PlanLine("skipped", skipped.what, tr(skipped.why)) for skipped in gathered.skipped]
     lines += [PlanLine("note", note, "") for note in (*gathered.notes, *describe_stated_heights(session, needed))]
@@ -76,7 +78,7 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
 
 
 def _explain_status(status: StrokeStatus) -> str:
-    if status.freshness is Freshness.FRESH:
+    if status.freshness is Freshness.FRESH and not status.why:
         return tr("Its surface has no baked tokens.")
     return status.why
 

@@ -328,6 +328,8 @@ def make_blender_program(folder: Path) -> ChildProgram:
     """Return the program that runs `worker.py`: this Blender, or this Python with the bpy module."""
     import bpy
 
+    # What it leaves if it is killed lies in the job's folder, which is removed.
+    environment = {**os.environ, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))}
     binary = bpy.app.binary_path
     command = [sys.executable, str(WORKER), CORE_FOLDER, str(folder)]
     if binary:
@@ -342,9 +344,8 @@ def make_blender_program(folder: Path) -> ChildProgram:
             CORE_FOLDER,
             str(folder),
         ]
-    return ChildProgram(
-        command, "a second Blender", "Bake in the background instead: blender -b FILE --command hnf touch --out DIR"
-    )
+    remedy = "Bake in the background instead: blender -b FILE --command hnf touch --out DIR"
+    return ChildProgram(command, "a second Blender", remedy, environment)
 
 
 class ChildJob(ABC):

@@ -14,7 +14,7 @@ from ..bridge.scene.scene_names import get_named_objects, get_scene_name
 from ..bridge.scene.stored_data import FaceTokens, write_tokens
 from ..bridge.splats.splat_cloud import get_cloud, require_writable, write_point_tokens
 from ..state.session_state import STATE, suppress_change_tracking
-from ..touch.bake_storage import make_status, save_bake
+from ..touch.bake_storage import ignore_rounding, make_status, save_bake
 from ..touch.report import Freshness
 from ..touch.session import InputHashes, Session, make_scene_session
 from ..touch.stroke_bake import StrokeBake
@@ -191,12 +191,12 @@ def _check_stroke(baked: BakedFile, folder: Path, target: CommitTarget, session:
         job = session.make_curve_job(obj)
     except HnfError as error:
         return f"{label}: it changed while it was baked, and now: {error}"
-    changes = job.inputs.describe_changes(baked.inputs)
+    bake = StrokeBake.from_bytes((folder / baked.file).read_bytes(), where=label)
+    changes = ignore_rounding(job, baked.inputs, bake).describe_changes(baked.inputs)
     if job.inputs.choices != baked.inputs.choices:
         verified.rechosen_strokes.add(baked.stroke)
     if changes:
         return f"{label}: {' and '.join(changes)} changed while it was baked. {REBAKE_HINT}"
-    bake = StrokeBake.from_bytes((folder / baked.file).read_bytes(), where=label)
     verified.strokes.append((obj.session_uid, bake, baked.inputs))
     verified.stroke_names.add(baked.stroke)
     return ""

@@ -117,9 +117,13 @@ def select_strokes(scene: Any, only: Sequence[str]) -> list[Any]:
 
 
 def is_up_to_date(session: Session, job: StrokeJob) -> bool:
-    """Return True if a stroke's stored bake is still valid and its surface has its tokens."""
+    """Return True if a stroke's bake and its surface's tokens are those that a new bake would make.
+
+    A bake that holds, but was made with other names, is not.
+    """
     status = check_validity(find_object(session.scene, job.curve_name), job)
-    return status.freshness is Freshness.FRESH and has_tokens(session, find_object(session.scene, job.object_name))
+    is_same = status.freshness is Freshness.FRESH and not status.why
+    return is_same and has_tokens(session, find_object(session.scene, job.object_name))
 
 
 def _find_scene(request: JobRequest) -> tuple[Any, Any]:

@@ -174,7 +174,7 @@ class LearnJob(ChildJob):
 
     def cancel(self) -> LastJob:
         """Cancel the job; the training's checkpoint remains for another run with the same settings."""
-        message = tr("Learning cancelled. Nothing was changed; run it again with the same choices to resume.")
+        message = tr("Learning canceled. Nothing was changed; run it again with the same choices to resume.")
         return self._finish(LastJob(True, message))
 
     def clean_up(self) -> None:

@@ -15,7 +15,6 @@ from ..actuator.actuator_state import (
     ACTUATOR,
     SPEAKERS,
     Phase,
-    find_output_title,
     get_selected_output,
     needs_offline_player,
     select_output,
@@ -126,10 +125,7 @@ class HNF_OT_actuator_test(bpy.types.Operator):  # type: ignore[misc]
         except HnfError as error:
             self.report({"WARNING"}, format_error(error))
             return {"CANCELLED"}
-        self.report(
-            {"INFO"}, tr("A soft sweep on {device}").format(device=find_output_title(get_selected_output(context)))
-        )
-        redraw_tab()
+        redraw_tab()  # The panel shows what became of it: the device is opened in another process.
         return {"FINISHED"}
 
 
@@ -151,7 +147,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         if needs_offline_player(get_selected_output(context)):
             return fail_poll(cls, NOT_LIVE_REASON)
         if context.mode != "OBJECT":
-            return fail_poll(cls, "Surfaces are touched in Object Mode: press Tab")
+            return fail_poll(cls, "Surfaces are touched in Object Mode: choose it in the header")
         return True
 
     def invoke(self, context: Any, _event: Any) -> set[str]:

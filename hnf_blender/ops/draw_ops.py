@@ -108,7 +108,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            return fail_poll(cls, "Strokes are drawn in Object Mode: press Tab")
+            return fail_poll(cls, "Strokes are drawn in Object Mode: choose it in the header")
         return True
 
     def draw(self, _context: Any) -> None:
@@ -294,7 +294,7 @@ class HNF_OT_stroke_tool(bpy.types.Operator):  # type: ignore[misc]  # bpy has n
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            return fail_poll(cls, "Strokes are drawn in Object Mode: press Tab")
+            return fail_poll(cls, "Strokes are drawn in Object Mode: choose it in the header")
         if context.area is None or context.area.type != "VIEW_3D":
             return fail_poll(cls, "Strokes are drawn in a 3-D view")
         return True

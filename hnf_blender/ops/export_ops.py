@@ -163,7 +163,7 @@ class HNF_OT_add_speaker(bpy.types.Operator):  # type: ignore[misc]
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            return fail_poll(cls, "Speakers are added in Object Mode: press Tab")
+            return fail_poll(cls, "Speakers are added in Object Mode: choose it in the header")
         return poll_playable(cls, context)
 
     def execute(self, context: Any) -> set[str]:

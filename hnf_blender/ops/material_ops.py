@@ -262,7 +262,7 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # bpy h
         if not poll_no_job(cls):
             return False
         if context.mode != "OBJECT":
-            return fail_poll(cls, "Surfaces are touched in Object Mode: press Tab")
+            return fail_poll(cls, "Surfaces are touched in Object Mode: choose it in the header")
         return True
 
     def execute(self, context: Any) -> set[str]:

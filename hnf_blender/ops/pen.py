@@ -26,6 +26,8 @@ LINE_PX = 4.0
 """Width of the drawn line [px]."""
 EVENT_INTERVAL_S = 1.0 / 60.0
 """Longest interval between two events of a moving pen [s]."""
+BATCH_S = 4e-3
+"""Time between a press and a motion below which both arrived in one batch, after a slow redraw [s]."""
 
 Sample = tuple[tuple[float, float, float], float, float, bool]
 """World location, pressure, time [s], and whether the pen touches the surface."""
@@ -54,6 +56,7 @@ class Pen:
         self._pending: list[tuple[float, float, float]] = []
         self._last = (0.0, 0.0, 0.0)
         self._travelled_px = 0.0
+        self._drawn = -np.inf
         self._length, self._is_pen = 0.0, False
         self._world = np.zeros(3)
         self._metres = get_metres_per_unit(context.scene)
@@ -87,7 +90,7 @@ class Pen:
         """Begin a stroke in a region of a 3-D view; return False, with `reject_reason`, if nothing can be touched."""
         self.reject_reason = tr("No mesh under the pen: press on a surface that is visible here")
         if context.mode != "OBJECT":
-            self.reject_reason = tr("Strokes are drawn in Object Mode: press Tab")
+            self.reject_reason = tr("Strokes are drawn in Object Mode: choose it in the header")
             return False
         areas = context.window.screen.areas
         self._region = region
@@ -111,15 +114,20 @@ class Pen:
     def move(self, context: Any, event: Any) -> None:
         """Process a movement of the pen.
 
-        Blender's intermediate events are processed with the next regular one, and their times spread evenly.
+        Blender's intermediate events are processed with the next regular one, and their times spread evenly. Events
+        have no time of their own, and while the view is redrawn they wait: then they happened since the last ones that
+        were processed, even if that is long ago. Only if Blender was idle, the pen rested.
         """
         x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
         self._pending.append((x, y, self._read_pressure(event)))
         if event.type == "INBETWEEN_MOUSEMOVE":
             return
         now = time.perf_counter()
-        if now - self._time[-1] > REST_S:
-            self._add_rest(now - len(self._pending) * EVENT_INTERVAL_S)
+        length_s = len(self._pending) * EVENT_INTERVAL_S
+        if now - max(self._time[-1], self._drawn) > REST_S:
+            self._add_rest(now - length_s)
+        elif len(self._time) == 1 < len(self._pending) and now - self._time[0] < BATCH_S:
+            self._time[0] = now - length_s  # The press waited with them.
         for to, at in zip(self._pending, spread_times_evenly(len(self._pending), self._time[-1], now), strict=True):
             self._advance(context, to, float(at))
         self._pending.clear()
@@ -196,6 +204,7 @@ class Pen:
         import gpu
         from gpu_extras.batch import batch_for_shader
 
+        self._drawn = time.perf_counter()
         if len(self._local) < 2:
             return
         surface = bpy.data.objects.get(self.surface)

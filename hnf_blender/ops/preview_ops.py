@@ -57,7 +57,6 @@ class HNF_OT_preview_play(bpy.types.Operator):  # type: ignore[misc]  # bpy has 
         if problem:
             self.report({"WARNING"}, problem)
             return {"CANCELLED"}
-        STATE.has_played = True
         if result is None and stroke.name not in PREVIEW.showing_reference:
             PREVIEW.play_when_ready = stroke.name
             return {"FINISHED"}

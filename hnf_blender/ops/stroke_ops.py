@@ -81,7 +81,7 @@ def find_surface_for_new_stroke(context: Any) -> Any:
 def poll_object_mode(cls: Any, context: Any) -> bool:
     """Return whether Blender is in Object Mode; for poll(), with the reason if not."""
     if context.mode != "OBJECT":
-        return fail_poll(cls, "Strokes are made in Object Mode: press Tab")
+        return fail_poll(cls, "Strokes are made in Object Mode: choose it in the header")
     return True
 
 

@@ -11,9 +11,11 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from .. import compat
 from ..registration import add_handlers, remove_handlers
 from . import timeline_playback
 from .preview_state import PREVIEW, PreviewFacts, get_preview_facts, get_preview_icon
+from .strips_and_speakers import has_linked_strips
 
 __all__ = ["PreviewFacts", "get_preview_facts", "get_preview_icon"]
 
@@ -199,6 +201,8 @@ def _update_scene(context: Any, updated: set[str], ended: bool, *, is_first: boo
     shown = active.name if active is not None else ""
     for name in updated | {shown} - {""}:
         controller.update_facts(name, scene)
+    if scene.sequence_editor is not None and has_linked_strips(scene):
+        compat.show_in_sequencer(context.window.workspace, scene)  # A workspace that was added since shows no scene.
     panel_state = shown, _delay_busy(PREVIEW.facts.get(shown), snapshot), get_actuator_profile(scene)
     if updated or ended or panel_state != snapshot.shown:
         snapshot.shown = panel_state

@@ -9,8 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from hnf_core.errors import HnfError
+
 from ..actuator.sound import Player, Sound
 from ..props.scene_settings import get_actuator_profile
+from ..state.addon_settings import finish_guide
 from ..state.session_state import STATE
 from ..touch.report import Freshness
 from ..translations import tr
@@ -132,8 +135,6 @@ def refresh(obj: Any, context: Any, *, wait: bool, first: bool = True) -> Previe
     PreviewResult or None
         The signal; None if it is not there yet or cannot be made, for which `PREVIEW.problems` has the reason.
     """
-    from hnf_core.errors import HnfError
-
     from .synthesis_thread import RenderCache, SynthesisThread, read_current_bake, synthesise_preview
 
     name, style = obj.name, get_image_style(context)
@@ -212,8 +213,14 @@ def _start_sound(name: str, scene: Any, start: Callable[[Sound], None]) -> None:
     if shown is None:
         return
     PREVIEW.sounding = ""
-    start(make_sound(shown.signal.samples, shown.signal.sample_rate, scene, loop=bool(scene.hnf.loop)))
+    PREVIEW.sound_problem = ""
+    try:
+        start(make_sound(shown.signal.samples, shown.signal.sample_rate, scene, loop=bool(scene.hnf.loop)))
+    except HnfError as error:
+        PREVIEW.sound_problem = str(error)  # stays in the panel, where Blender's own message fades
+        raise
     PREVIEW.sounding = name
+    finish_guide()
 
 
 def make_sound(samples: NDArray[np.float32], rate: float, scene: Any, *, loop: bool = False) -> Sound:

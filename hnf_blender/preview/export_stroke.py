@@ -23,7 +23,7 @@ from ..touch.report import Freshness
 from ..translations import tr
 from .preview_state import PREVIEW
 from .sound_device import compute_monitor_gain
-from .strips_and_speakers import find_linked_strips, mark_linked
+from .strips_and_speakers import find_linked_strips, mark_linked, mute_others
 
 if TYPE_CHECKING:
     from hnf_core.export.convert import ExportResult
@@ -265,6 +265,7 @@ def add_strip(obj: Any, context: Any) -> Any:
     strip.channel, strip.name = channel, obj.name
     _mark_linked(strip, obj, scene)
     strip.volume = compute_monitor_gain(scene.hnf.monitor_gain_db)
+    mute_others(obj, scene, strip)
     show_in_sequencer(getattr(context, "workspace", None), scene)
     return strip
 
@@ -301,4 +302,5 @@ def add_stroke_speaker(obj: Any, context: Any) -> Any:
     speaker = add_speaker(sound, f"{obj.name} speaker", tuple(position), float(obj.hnf_stroke.start), surface)
     _mark_linked(speaker, obj, scene)
     speaker.data.volume = min(compute_monitor_gain(scene.hnf.monitor_gain_db), 1.0)
+    mute_others(obj, scene, speaker)
     return speaker

@@ -94,6 +94,7 @@ class PreviewState:
         self.facts: dict[str, PreviewFacts] = {}
         self.icons: dict[str, int] = {}
         self.play_when_ready = ""
+        self.sound_problem = ""
         self.sounding = ""
         self.exported: tuple[str, ...] = ()
         self.losses = ""
@@ -119,7 +120,7 @@ class PreviewState:
         self.showing_reference.clear()
         for entries in self._by_name:
             entries.clear()
-        self.play_when_ready = self.sounding = self.losses = ""
+        self.play_when_ready = self.sounding = self.losses = self.sound_problem = ""
         self.exported = ()
 
 

@@ -53,6 +53,39 @@ def find_outdated_strips(stroke: Any, scene: Any, stamp: str) -> list[str]:
     return [str(candidate.name) for candidate in find_linked_strips(stroke, scene, marked)] if marked else []
 
 
+def has_linked_strips(scene: Any) -> bool:
+    """Return whether a scene's sequencer has a strip that plays a stroke."""
+    from ..compat import sequencer_strips
+
+    return any(NAME_PROPERTY in strip for strip in sequencer_strips(scene.sequence_editor))
+
+
+def find_sounding(stroke: Any, scene: Any) -> list[Any]:
+    """Return the strips and speakers of a stroke that Blender itself sounds while the timeline plays."""
+    import bpy
+
+    from ..compat import sequencer_strips
+
+    if not scene.use_audio:
+        return []
+    strips = [] if scene.sequence_editor is None else sequencer_strips(scene.sequence_editor)
+    speakers = [obj for obj in scene.objects if obj.type == "SPEAKER"] if bpy.data.speakers else []
+    audible = [strip for strip in strips if strip.type == "SOUND" and not strip.mute]
+    audible += [speaker for speaker in speakers if not speaker.data.muted and not speaker.hide_viewport]
+    marked = [candidate for candidate in audible if NAME_PROPERTY in candidate]
+    return find_linked_strips(stroke, scene, marked) if marked else []
+
+
+def mute_others(stroke: Any, scene: Any, kept: Any) -> None:
+    """Mute the strips and speakers of a stroke but the one `kept`, so that the timeline sounds it once."""
+    for candidate in find_sounding(stroke, scene):
+        if candidate != kept:
+            if hasattr(candidate, "data"):
+                candidate.data.muted = True
+            else:
+                candidate.mute = True
+
+
 def mark_linked(strip: Any, stroke: Any, scene: Any, stamp: str) -> None:
     """Link a strip or speaker to a stroke and to the signal with hash `stamp`.
 
@@ -111,6 +144,7 @@ def add_speaker(sound: Any, name: str, location: Any, frame: float, parent: Any 
     speaker = bpy.context.view_layer.objects.active
     speaker.name = speaker.data.name = name
     speaker.data.sound = sound
+    speaker.data.attenuation = 0.0  # as loud as a strip, however far away the camera is
     for track in speaker.animation_data.nla_tracks:
         for strip in track.strips:
             strip.frame_start = frame

@@ -204,12 +204,20 @@ def pad_with_silence(sound: Sound) -> Sound:
 
 
 def list_placed_signals(scene: Any) -> list[Any]:
-    """Return the valid signals of strokes that are not muted, with their start frames."""
+    """Return the valid signals of strokes that are not muted, with their start frames.
+
+    On the speakers, strokes with a strip or a speaker object of their own are left to Blender, or they would sound
+    twice.
+    """
+    from ..actuator.actuator_state import SPEAKERS, get_selected_output
     from ..props.scene_settings import list_cached_strokes
     from .controller import get_problem
+    from .strips_and_speakers import find_sounding
 
-    placed = []
+    placed, on_speakers = [], get_selected_output() == SPEAKERS
     for obj in list_cached_strokes(scene):
+        if on_speakers and find_sounding(obj, scene):
+            continue
         shown = PREVIEW.get_shown(obj.name)
         if shown is not None and not obj.hnf_stroke.mute and not get_problem(obj.name, scene):
             placed.append(PlacedSignal(float(obj.hnf_stroke.start), shown.signal.samples, shown.signal.sample_rate))

@@ -24,12 +24,15 @@ class Settings(NamedTuple):
         Target that strokes are played on.
     external_python : str
         Python interpreter that learns materials; "" for none.
+    guide_done : bool
+        The first steps were finished once.
     """
 
     overlay: bool = True
     default_probe: str = "pen"
     output: str = ""
     external_python: str = ""
+    guide_done: bool = False
 
 
 DEFAULT_SETTINGS = Settings()
@@ -39,6 +42,24 @@ def get_settings(context: Any = None) -> Any:
     """Return the add-on's preferences, or DEFAULT_SETTINGS, which has the same attributes."""
     addon = (context or bpy.context).preferences.addons.get(ADDON_PACKAGE)
     return DEFAULT_SETTINGS if addon is None or addon.preferences is None else addon.preferences
+
+
+_session = {"guide_done": False}
+"""What preferences would keep, for a session without them."""
+
+
+def is_guide_done(context: Any = None) -> bool:
+    """Return whether the first steps were finished, in this session or an earlier one."""
+    return bool(_session["guide_done"] or get_settings(context).guide_done)
+
+
+def finish_guide(done: bool = True) -> None:
+    """Note that the first steps are finished (a stroke was heard), so that no later session shows them."""
+    settings = get_settings()
+    _session["guide_done"] = done
+    if not isinstance(settings, Settings) and settings.guide_done != done:
+        settings.guide_done = done
+        bpy.context.preferences.is_dirty = True
 
 
 def get_cache_folder() -> Path:

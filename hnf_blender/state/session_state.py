@@ -57,6 +57,8 @@ class LastJob(NamedTuple):
         Number of strokes and meshes that got a result, even if the job failed.
     scene : str
         Name of the scene.
+    is_cancelled : bool
+        Whether the user cancelled it.
     """
 
     ok: bool
@@ -64,6 +66,7 @@ class LastJob(NamedTuple):
     details: tuple[str, ...] = ()
     written: int = 0
     scene: str = ""
+    is_cancelled: bool = False
 
 
 class PlanLine(NamedTuple):
@@ -122,8 +125,6 @@ class SessionState:
         Relief found by a touch query, by the full name of the Blender material.
     diagnosis : tuple of (str, str)
         Last diagnosis, as names and values.
-    has_played : bool
-        Whether a stroke was played since Blender started.
     query_view : QueryView or None
         Last touch query.
     external_python : ExternalPython or None
@@ -143,7 +144,6 @@ class SessionState:
         self.suggestions: dict[str, tuple[Suggestion, ...]] = {}
         self.reliefs: dict[str, Relief] = {}
         self.diagnosis: tuple[tuple[str, str], ...] = ()
-        self.has_played = False
         self.query_view: QueryView | None = None
         self.external_python: ExternalPython | None = None
         self.changes = 0

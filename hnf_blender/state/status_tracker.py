@@ -257,13 +257,16 @@ def clear_trackers() -> None:
 def _compute_status(session: Session, obj: Any) -> StrokeStatus:
     from hnf_core.errors import HnfError
 
-    from ..touch.bake_storage import check_validity
+    from ..touch.bake_storage import check_hidden, check_validity
     from ..touch.material_choice import format_stated_note
 
     surface = obj.hnf_stroke.surface
     if surface is not None and surface.mode == "EDIT":
         reason = tr("'{name}' is in Edit Mode.").format(name=surface.name)
         return StrokeStatus(Freshness.UNKNOWN, reason, object_name=surface.name)
+    hidden = check_hidden(session.scene, session.view_layer, obj)
+    if hidden is not None:
+        return hidden
     try:
         job = session.make_curve_job(obj)
         status = check_validity(obj, job)

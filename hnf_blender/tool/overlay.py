@@ -211,9 +211,9 @@ def _draw() -> None:
         if path.frames[0] <= frame <= path.frames[-1] and not obj.hnf_stroke.mute:
             contact_point = [np.interp(frame, path.frames, path.contact_points[:, axis]) for axis in range(3)]
             force = float(np.interp(frame, path.frames, path.forces))
-            overlay_drawing.draw_contact(
-                world[:3, :3] @ contact_point + world[:3, 3], force, view, is_active=obj == active
-            )
+            extent = float(np.linalg.norm(np.ptp(path.points @ world[:3, :3].T, axis=0)))
+            point = world[:3, :3] @ contact_point + world[:3, 3]
+            overlay_drawing.draw_contact(point, force, view, is_active=obj == active, extent=extent)
 
 
 CLASSES = ()

@@ -178,6 +178,9 @@ MUTED_ALPHA = 0.3
 START_PX, CONTACT_PX, ACTIVE_CONTACT_PX = 5.0, 6.0, 8.0
 """Radius of the start ring, of a contact, and of the active contact [px]."""
 
+CONTACT_SHARE = 0.04
+"""Largest radius of a contact as a fraction of its stroke's size."""
+
 _batches: dict[str, tuple[Any, Any, Any]] = {}
 """Batches for path, halo and ticks by stroke name."""
 
@@ -199,11 +202,14 @@ class OverlayView:
             else Matrix.Translation((0.0, 0.0, DEPTH_BIAS * distance))
         )
 
-    def disc(self, centre: Float, radius_px: float, segments: int = 20) -> Float:
-        """Return the corners (segments, 3) of a disc that faces the viewer, in world coordinates."""
+    def disc(self, centre: Float, radius_px: float, segments: int = 20, largest: float = np.inf) -> Float:
+        """Return the corners (segments, 3) of a disc that faces the viewer, in world coordinates.
+
+        Its radius is `radius_px`, but not more than `largest` [Blender units].
+        """
         eye = self.view[:3, :3] @ centre + self.view[:3, 3]
         w = float(self.window[3, :3] @ eye + self.window[3, 3])
-        radius = radius_px * self.pixel_size * 2.0 * abs(w) / (abs(self.window[1, 1]) * self.size[1])
+        radius = min(radius_px * self.pixel_size * 2.0 * abs(w) / (abs(self.window[1, 1]) * self.size[1]), largest)
         angle = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
         right, up = self.view[0, :3], self.view[1, :3]
         return np.asarray(centre + radius * (np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up))
@@ -245,12 +251,19 @@ def draw_start(point: Float, view: OverlayView) -> None:
     _draw_disc(view.disc(point, START_PX - 2.0), HALO)
 
 
-def draw_contact(point: Float, force_n: float, view: OverlayView, *, is_active: bool) -> None:
-    """Draw a disc in the force's color; gray without contact."""
-    radius = ACTIVE_CONTACT_PX if is_active else CONTACT_PX
-    _draw_disc(view.disc(point, radius + 2.5), HALO)
-    _draw_disc(view.disc(point, radius + 1.0), WHITE)
-    _draw_disc(view.disc(point, radius - 1.0), force_to_colour(force_n))
+def draw_contact(point: Float, force_n: float, view: OverlayView, *, is_active: bool, extent: float) -> None:
+    """Draw a disc in the force's color; gray without contact. What hides the point hides the disc.
+
+    `extent` is the size of the stroke [Blender units], so that a disc seen from afar is no blob that covers it.
+    """
+    radius, largest = ACTIVE_CONTACT_PX if is_active else CONTACT_PX, CONTACT_SHARE * extent
+    with gpu.matrix.push_pop():
+        gpu.matrix.load_matrix(view.depth_bias_matrix @ gpu.matrix.get_model_view_matrix())
+        gpu.state.depth_test_set("LESS_EQUAL")
+        for added_px, colour in ((2.5, HALO), (1.0, WHITE), (-1.0, force_to_colour(force_n))):
+            share = (radius + added_px) / radius
+            _draw_disc(view.disc(point, radius + added_px, largest=largest * share), colour)
+        gpu.state.depth_test_set("NONE")
 
 
 def _make_batches(path: OverlayPath) -> tuple[Any, Any, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence, Set
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,11 @@ from hnf_core.scene.camera import CAMERA_DISTANCE_M
 from hnf_core.scene.mesh import crop_mesh
 
 from ..bridge.scene import stored_data
-from ..bridge.scene.scene_names import find_object
+from ..bridge.scene.object_size import is_visible
+from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..bridge.scene.stored_data import SOURCE_PROPERTY, UNBAKED, FaceTokens, PointTokens, read_tokens, write_tokens
 from ..bridge.splats.splat_cloud import compute_cloud_frame, get_cloud, read_cloud, write_point_tokens
+from ..bridge.stroke.read_stroke import hash_touch, trace_path
 from ..props.scene_settings import find_index
 from ..translations import tr
 from .bake_patches import TouchedObject, get_encoder_name
@@ -205,7 +208,8 @@ def count_stored_bytes(obj: Any) -> int:
 def check_validity(obj: Any, job: StrokeJob) -> StrokeStatus:
     """Compare the bake stored on a stroke with the stroke as it is now.
 
-    `job` has the hashes of its current inputs.
+    `job` has the hashes of its current inputs. A bake made with other names of the surface or its materials still
+    holds, and says so; only a new bake guesses from the names.
     """
     try:
         bake = load_bake(obj)
@@ -213,21 +217,68 @@ def check_validity(obj: Any, job: StrokeJob) -> StrokeStatus:
         return StrokeStatus(Freshness.UNBAKED, str(error), object_name=job.object_name)
     if bake is None:
         return StrokeStatus(Freshness.UNBAKED, tr("Not baked yet."), object_name=job.object_name)
-    if bake.key == job.key:
-        return make_status(bake, Freshness.FRESH)
-    if bake.path_key != job.path_key:
-        return make_status(bake, Freshness.STALE, _describe_changes(obj, job, bake))
-    force = None if job.stroke is None else job.stroke.samples.force
+    earlier = InputHashes.from_text(stored_data.get_property(obj, INPUTS_PROPERTY))
+    inputs = job.inputs if earlier is None else ignore_rounding(job, earlier, bake)
+    if bake.key == inputs.key:
+        return make_status(bake, Freshness.FRESH, object_name=job.object_name)
+    if bake.path_key != inputs.path_key:
+        return make_status(bake, Freshness.STALE, _describe_changes(inputs, earlier, bake), job.object_name)
+    if earlier is not None and earlier.touch == inputs.touch:
+        why = tr("Names changed since the bake. It still plays; Bake guesses the material anew.")
+        return make_status(bake, Freshness.FRESH, why, job.object_name)
     try:
-        if force is not None:
-            bake.with_force(force)
+        if job.stroke is not None:
+            bake.with_force(_fit_force(job.stroke.samples.force, bake))
     except StrokeError as error:
-        return make_status(bake, Freshness.STALE, str(error))
-    return make_status(bake, Freshness.FORCE, tr("Only force, seed or probe changed: no bake needed, just play."))
+        return make_status(bake, Freshness.STALE, str(error), job.object_name)
+    why = tr("Only force, seed or probe changed: no bake needed, just play.")
+    return make_status(bake, Freshness.FORCE, why, job.object_name)
 
 
-def make_status(bake: StrokeBake, freshness: Freshness, why: str = "") -> StrokeStatus:
-    """Make the status that the panels show of a bake; `why` is the reason if it is not fresh."""
+def check_hidden(scene: Any, view_layer: Any, obj: Any) -> StrokeStatus | None:
+    """Return the status of a stroke whose bake cannot be compared since its surface is hidden; None for any other.
+
+    Hiding changes nothing that is felt, so the bake holds.
+    """
+    try:
+        bake = load_bake(obj)
+    except FileError:
+        return None
+    if bake is None:
+        return None
+    surface = obj.hnf_stroke.surface or find_object(scene, bake.facts.get("object", ""))
+    if surface is None or find_index(scene.objects, surface) < 0 or is_visible(surface, view_layer):
+        return None
+    why = tr("'{name}' is hidden: this plays as it was baked.").format(name=surface.name)
+    return make_status(bake, Freshness.FRESH, why, get_scene_name(scene, surface))
+
+
+def ignore_rounding(job: StrokeJob, earlier: InputHashes, bake: StrokeBake) -> InputHashes:
+    """Return the hashes of a job's inputs, with those of the bake where path and force differ by rounding only.
+
+    `earlier` are the hashes that were stored with the bake. Turning an object changes the last bits of its strokes'
+    points, and so the hash of the path.
+    """
+    if job.stroke is None or bake.path is None or job.inputs.path == earlier.path:
+        return job.inputs
+    if not bake.path.matches(trace_path(job.stroke)):
+        return job.inputs
+    samples = replace(job.stroke.samples, force=_fit_force(job.stroke.samples.force, bake))
+    touch = hash_touch(replace(job.stroke, samples=samples), job.seed)
+    return replace(job.inputs, path=earlier.path, touch=touch)
+
+
+def _fit_force(force: NDArray[np.float64], bake: StrokeBake) -> NDArray[np.float64]:
+    """Return a force (n,) with the number of samples of a bake, if rounding of the duration added or removed one."""
+    count = len(bake.stroke.action.force)
+    return np.append(force, force[-1:])[:count] if abs(len(force) - count) <= 1 else force
+
+
+def make_status(bake: StrokeBake, freshness: Freshness, why: str = "", object_name: str = "") -> StrokeStatus:
+    """Make the status that the panels show of a bake.
+
+    `why` is the reason if it is not fresh, `object_name` the surface's name now, if that is not the one of the bake.
+    """
     facts, notes = bake.facts, bake.notes
     doubted = facts.get("height_doubted", "").splitlines()
     if freshness is Freshness.FORCE and bake.alternative is not None:
@@ -237,7 +288,7 @@ def make_status(bake: StrokeBake, freshness: Freshness, why: str = "") -> Stroke
         freshness,
         why,
         duration_s=bake.stroke.action.duration_s,
-        object_name=facts.get("object", ""),
+        object_name=object_name or facts.get("object", ""),
         library_material=facts.get("library_material", ""),
         routes=facts.get("routes", ""),
         confidence=bake.confidence,
@@ -260,11 +311,10 @@ def has_tokens(session: Session, obj: Any) -> bool:
     return bool(source == hash_surface_source(facts)) or source in find_shared_sources(session, obj)
 
 
-def _describe_changes(obj: Any, job: StrokeJob, bake: StrokeBake) -> str:
-    """Describe which inputs changed since the bake."""
-    earlier = InputHashes.from_text(stored_data.get_property(obj, INPUTS_PROPERTY))
+def _describe_changes(inputs: InputHashes, earlier: InputHashes | None, bake: StrokeBake) -> str:
+    """Describe which inputs changed since the bake; `earlier` are those that were stored with it."""
     if earlier is None or earlier.path_key != bake.path_key:
         return tr("Changed since it was baked.")
-    changes = job.inputs.describe_changes(earlier, same_surface=bake.facts.get("object") == job.object_name)
+    changes = inputs.describe_changes(earlier)
     message = tr("Changed since the bake: {what}. Bake again.")
     return message.format(what="; ".join(tr(change) for change in changes))

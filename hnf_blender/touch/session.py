@@ -8,7 +8,7 @@ given as OBJECT[:SLOT] on the command line.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,8 @@ from hnf_core.field.weights import load_field_for_encoders, read_material_file
 from hnf_core.files import content_hash
 from hnf_core.material.fuse import HEIGHT_LIMITS_M
 from hnf_core.material.hnf_file import HNF_SUFFIX, MaterialFile
-from hnf_core.material.library import LIBRARY_PATH, get_material
+from hnf_core.material.library import LIBRARY_PATH, get_material, load_library
+from hnf_core.material.name_matching import match_names
 from hnf_core.touch_request import TouchRequest
 
 from ..bridge.importers import IMPORT_NOTES
@@ -136,7 +137,7 @@ def _suggest_objects(text: str, meshes: Mapping[str, Any]) -> str:
     )
 
 
-TOUCH_FIELD, PATH_FIELD = "touch", "path"
+TOUCH_FIELD, PATH_FIELD, NAMES_FIELD = "touch", "path", "names"
 CHANGE_DESCRIPTIONS = {
     "made_by": "the add-on, its library or its field",
     "scale": "the scene's unit scale",
@@ -144,12 +145,10 @@ CHANGE_DESCRIPTIONS = {
     "shading": "the materials of the surface",
     "sight": "the networks that estimate relief from pictures",
     "choices": "a material choice",
-    PATH_FIELD: "path, timing or surface name",
+    PATH_FIELD: "path or timing",
     TOUCH_FIELD: "force, seed or probe",
 }
-"""Description of each input, for messages."""
-PATH_ON_SAME_SURFACE = "path or timing"
-"""Description of PATH_FIELD if the surface's name is unchanged."""
+"""Description of each input, for messages; names are left out, since a bake that was made with others still holds."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ class InputHashes:
     shape : str
         Geometry of the surface.
     shading : str
-        Its shaders with their pixels, and the names from which a material is guessed.
+        Its shaders with their pixels.
     sight : str
         Networks that predict relief, "" if no prediction is needed.
     choices : str
@@ -174,6 +173,9 @@ class InputHashes:
         Path, timing and object.
     touch : str
         Force, seed and probe.
+    names : str
+        What the names of object, materials and textures say of the material, if it is guessed. Other names change
+        nothing that is felt before a bake guesses anew.
     """
 
     made_by: str
@@ -184,6 +186,7 @@ class InputHashes:
     choices: str
     path: str
     touch: str
+    names: str = ""
 
     @property
     def key(self) -> str:
@@ -192,22 +195,20 @@ class InputHashes:
 
     @property
     def path_key(self) -> str:
-        """Hash of all but force, seed and probe; while it is equal, nothing has to be rendered."""
-        return content_hash(*self._iter_without(TOUCH_FIELD))
+        """Hash of all but force, seed, probe and names; while it is equal, a bake still holds."""
+        return content_hash(*self._iter_without(TOUCH_FIELD, NAMES_FIELD))
 
     @property
     def surface_key(self) -> str:
-        """Hash of everything that the tokens on the mesh depend on, apart from strokes."""
-        return content_hash(*self._iter_without(TOUCH_FIELD, PATH_FIELD))
+        """Hash of everything that the tokens on the mesh depend on, apart from strokes and names."""
+        return content_hash(*self._iter_without(TOUCH_FIELD, PATH_FIELD, NAMES_FIELD))
 
-    def describe_changes(self, previous: InputHashes, *, same_surface: bool = False) -> tuple[str, ...]:
-        """Describe in words the inputs that differ from those of an earlier bake.
-
-        Set `same_surface` if the surface's name is known to be unchanged.
-        """
-        descriptions = CHANGE_DESCRIPTIONS | {PATH_FIELD: PATH_ON_SAME_SURFACE} if same_surface else CHANGE_DESCRIPTIONS
+    def describe_changes(self, previous: InputHashes) -> tuple[str, ...]:
+        """Describe in words the inputs that differ from those of an earlier bake."""
         return tuple(
-            description for name, description in descriptions.items() if getattr(self, name) != getattr(previous, name)
+            description
+            for name, description in CHANGE_DESCRIPTIONS.items()
+            if getattr(self, name) != getattr(previous, name)
         )
 
     def to_text(self) -> str:
@@ -287,6 +288,8 @@ class SurfaceFacts:
     stated_heights_m : tuple of float
         Height that each slot's shader states and that is not believed if it is true (`is_too_high`), unless the user
         insists; 0 for any other [m].
+    clues : tuple of str
+        What names say of each slot's material.
     artist_choices, shape_hash, shader_hashes, owner_hash, texture_names, splat_source, heights_as_authored
         See TouchedObject.
     """
@@ -302,6 +305,7 @@ class SurfaceFacts:
     splat_source: str = ""
     heights_as_authored: tuple[bool, ...] = ()
     stated_heights_m: tuple[float, ...] = ()
+    clues: tuple[str, ...] = ()
 
 
 @dataclass
@@ -418,8 +422,10 @@ class Session:
                 0.0 if insists or source is not ReliefSource.RELIEF else get_stated_height(each) * self.metres_per_unit
                 for each, insists, source in zip(slots, authored, relief_sources, strict=True)
             ]
+            materials = tuple("" if material is None else material.name for material in slots)
+            texture_names = tuple(list_texture_names(material) for material in slots)
             self._facts[name] = SurfaceFacts(
-                materials=tuple("" if material is None else material.name for material in slots),
+                materials=materials,
                 artist_choices=tuple("" if material is None else get_artist_choice(material) for material in slots),
                 shape_hash=hash_mesh(obj, self.depsgraph, self.metres_per_unit, inputs.layers),
                 shader_hashes=tuple(hash_material(material, self.scene.frame_current) for material in slots),
@@ -428,11 +434,15 @@ class Session:
                 if cloud is None
                 else tuple(_with_splats(source) for source in relief_sources),
                 direct_images=tuple(is_direct_image(material) for material in slots),
-                texture_names=tuple(list_texture_names(material) for material in slots),
+                texture_names=texture_names,
                 splat_source="" if cloud is None else get_cloud_source(cloud),
                 heights_as_authored=authored,
                 # A wave of this height is too high in whatever band it lies.
                 stated_heights_m=tuple(height if height > 2.0 * HEIGHT_LIMITS_M.max() else 0.0 for height in stated_m),
+                clues=tuple(
+                    _find_clues([material, obj.name, obj.data.name], textures)
+                    for material, textures in zip(materials or ("",), texture_names or ((),), strict=True)
+                ),
             )
         return self._facts[name]
 
@@ -537,17 +547,18 @@ class Session:
             for source, chosen in self.get_relief_outlook(obj, material)
         )
         needs_prediction = needs_prediction or bool(facts.splat_source and not facts.relief_sources)
-        texture_names = (name for slot in facts.texture_names for name in slot)
-        names = (object_name, obj.data.name, *facts.materials, *texture_names)
+        is_chosen = [chosen for _, chosen in self.get_relief_outlook(obj, material)] or [bool(material)]
+        clues = [clue for clue, chosen in zip(facts.clues, is_chosen, strict=True) if not chosen]
         return InputHashes(
             made_by=self._made_by,
             scale=repr(self.metres_per_unit),
             shape=facts.shape_hash,
-            shading=content_hash(facts.owner_hash, *facts.shader_hashes, *names),
+            shading=content_hash(facts.owner_hash, *facts.shader_hashes),
             sight=self.predictor.content_id if needs_prediction else "",
             choices=content_hash(choices, material, *(_to_hashable(choice) for choice in facts.artist_choices)),
             path=path,
             touch=touch,
+            names=content_hash(*clues),
         )
 
 
@@ -573,6 +584,16 @@ def _resolve_choice(text: str) -> str | MaterialFile | HnfError:
         return read_material_file(Path(text))
     except HnfError as error:
         return error
+
+
+def _find_clues(names: Sequence[str], texture_names: Sequence[str]) -> str:
+    """Return as text what the names of a material, its object and its mesh, and of textures, say of a material.
+
+    Numbers that Blender appends to copies, and words that name no material, say nothing.
+    """
+    hits = match_names(load_library(), names, texture_names)
+    weights = {name: sorted((word, weight) for word, (weight, _) in words.items()) for name, words in hits.items()}
+    return repr({name: words for name, words in weights.items() if words})
 
 
 def _to_hashable(choice: str | MaterialFile) -> str | bytes:

@@ -23,6 +23,7 @@ from hnf_core.material.contact_model import MECHANICS_NAMES, Mechanics
 from hnf_core.material.probe import is_probe
 
 from ..bridge.scene.stored_data import delete_property, get_property, set_property
+from ..bridge.stroke.read_stroke import PathTrace, trace_path
 
 if TYPE_CHECKING:
     from hnf_core.field.field import Field
@@ -69,6 +70,8 @@ class StrokeBake:
         own heights counts unless it is too loud (`LOUDEST_M_S2`).
     is_softened : bool
         True if this one is that for a force under which the relief's own heights are too loud.
+    path : PathTrace or None
+        Where the stroke was on its surface, to tell rounding from a change; None in bakes of earlier versions.
     """
 
     stroke: StrokeInput
@@ -85,6 +88,7 @@ class StrokeBake:
     doubts: tuple[str, ...] = ()
     alternative: StrokeBake | None = None
     is_softened: bool = False
+    path: PathTrace | None = None
 
     def with_force(self, force: Float, probe: str | None = None) -> StrokeBake:
         """Return the bake with another force (n,) [N] at the same action samples.
@@ -134,6 +138,10 @@ class StrokeBake:
             scale = (profile.step_m, profile.origin_m, profile.resolved_wavelength_m)
             arrays |= {"profile_scale": np.array(scale), "profile": _split_byte_planes(profile.height)}
         arrays |= _pack_fields(self.stroke)
+        if self.path is not None:  # Second differences of a smooth motion are small numbers, which compress well.
+            start = np.zeros((2, self.path.steps.shape[1]), dtype=np.int32)
+            arrays["path"] = np.diff(self.path.steps, n=2, axis=0, prepend=start)
+            arrays["path_rounding"] = np.array(self.path.rounding_m)
         if self.alternative is not None:
             arrays["alternative"] = np.frombuffer(self.alternative.to_bytes(), np.uint8)
         packed = io.BytesIO()
@@ -173,6 +181,7 @@ def make_stroke_bake(baked: BakedStroke, synthesised: SynthesisedStroke, *, key:
         warnings=synthesised.warnings,
         notes=baked.notes,
         doubts=baked.doubt_notes,
+        path=trace_path(baked.stroke),
     )
     other = baked.alternative
     if other is None:
@@ -181,6 +190,7 @@ def make_stroke_bake(baked: BakedStroke, synthesised: SynthesisedStroke, *, key:
     alternative = replace(
         bake, stroke=make_stroke_input(other), shares=compute_known_shares(other), facts=get_signal_facts(other),
         notes=other.notes, doubts=other.doubt_notes, is_softened=not is_softened,
+        path=None,
     )  # fmt: skip
     return replace(bake, alternative=alternative, is_softened=is_softened)
 
@@ -282,7 +292,17 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
         doubts=tuple(str(text) for text in texts.get("doubts", ())),
         is_softened=bool(texts.get("is_softened", False)),
         alternative=StrokeBake.from_bytes(arrays["alternative"].tobytes()) if "alternative" in arrays else None,
+        path=_unpack_path(arrays),
     )
+
+
+def _unpack_path(arrays: Mapping[str, NDArray[Any]]) -> PathTrace | None:
+    if "path" not in arrays:
+        return None
+    steps = np.cumsum(np.cumsum(arrays["path"].astype(np.int32), axis=0, dtype=np.int32), axis=0, dtype=np.int32)
+    if steps.ndim != 2:
+        raise ValueError(f"its path has the shape {steps.shape}")
+    return PathTrace(steps, float(arrays["path_rounding"]))
 
 
 def _pack_fields(stroke: StrokeInput) -> dict[str, NDArray[Any]]:

@@ -17,6 +17,7 @@ from ..state.labels import (
     group_plan_lines,
     list_first_steps,
 )
+from ..state.addon_settings import is_guide_done
 from ..state.session_state import STATE, LastJob, PlanView
 from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name
@@ -69,7 +70,7 @@ def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
     """Draw the steps 1 Draw, 2 Bake, 3 Play until a stroke has been played."""
     statuses = (STATE.get_status(context.scene, obj) for obj in strokes)
     audible = sum(status is not None and status.freshness in PLAYABLE_STATES for status in statuses)
-    todo = list_first_steps(len(strokes), audible, STATE.has_played)
+    todo = list_first_steps(len(strokes), audible, is_guide_done(context))
     if not todo:
         return
     box = layout.box().column(align=True)

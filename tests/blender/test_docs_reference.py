@@ -19,7 +19,7 @@ from hnf_blender.props.stroke_settings import HnfStroke
 from hnf_blender.registration import collect_classes
 from hnf_blender.state.labels import PLAN_LABELS, ROUTE_LABELS, STATUS_LABELS
 from hnf_blender.touch.session import CHANGE_DESCRIPTIONS as CHANGES
-from hnf_blender.touch.session import PATH_ON_SAME_SURFACE, TOUCH_FIELD
+from hnf_blender.touch.session import TOUCH_FIELD
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = (ROOT / "docs" / "blender.md").read_text(encoding="utf-8")
@@ -71,7 +71,6 @@ def test_every_word_for_a_state() -> None:
     )
     assert [text for text in said if text not in both] == []
     assert [text for part, text in CHANGES.items() if part != TOUCH_FIELD and text not in HELP] == []
-    assert PATH_ON_SAME_SURFACE in HELP
 
 
 def reasons() -> Iterator[str]:

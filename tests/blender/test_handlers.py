@@ -377,5 +377,8 @@ def test_refresh_fills_what_is_asked_for() -> None:
     assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.FRESH
     bpy.data.objects[PLATE].hide_render = True
     refresh_status(bpy.context.scene)
-    assert STATE.get_statuses(bpy.context.scene)["Along"].freshness is Freshness.BROKEN
-    assert "hidden" in STATE.get_statuses(bpy.context.scene)["Along"].why
+    found = STATE.get_statuses(bpy.context.scene)
+    assert found["Along"].freshness is Freshness.FRESH  # it has a bake, which hiding does not change
+    assert found["Beside"].freshness is Freshness.BROKEN
+    assert "hidden" in found["Along"].why
+    assert "hidden" in found["Beside"].why

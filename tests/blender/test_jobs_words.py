@@ -121,6 +121,10 @@ def test_what_changed_has_a_name_and_keys_follow_it() -> None:
         assert (other.path_key == INPUTS.path_key) == (name == "touch")
         assert (other.surface_key == INPUTS.surface_key) == (name in ("touch", "path"))
     assert len(keys) == 9
+    renamed = replace(INPUTS, names="other")  # a bake that was made with other names still holds
+    assert renamed.describe_changes(INPUTS) == ()
+    assert renamed.key not in keys
+    assert (renamed.path_key, renamed.surface_key) == (INPUTS.path_key, INPUTS.surface_key)
     assert InputHashes.from_text(INPUTS.to_text()) == INPUTS
     assert InputHashes.from_text("[]") is None
     assert InputHashes.from_text(None) is None

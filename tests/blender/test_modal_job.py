@@ -119,7 +119,7 @@ def test_esc_cancels_in_the_view_and_passes_to_other_editors(begun) -> None:
     assert operator.modal(screen.context, beside) == {"PASS_THROUGH"}
     assert current.is_running()
     assert operator.modal(screen.context, ESC) == {"CANCELLED"}
-    assert "cancelled" in operator.ended[0].message
+    assert "canceled" in operator.ended[0].message
     assert kept() == NOTHING
     assert is_over(screen, pid)
 
@@ -128,7 +128,7 @@ def test_cancelled_from_elsewhere_it_is_told_at_the_next_event(begun) -> None:
     operator, screen, pid = begun
     current.cancel()
     assert operator.modal(screen.context, MOVE) == {"CANCELLED"}
-    assert "cancelled" in operator.ended[0].message
+    assert "canceled" in operator.ended[0].message
     assert is_over(screen, pid)
 
 

@@ -20,7 +20,7 @@ from hnf_blender.preview.preview_state import PREVIEW, PreviewFacts
 from hnf_blender.props.scene_settings import get_active_stroke
 from hnf_blender.registration import collect_classes
 from hnf_blender.state import labels
-from hnf_blender.state.addon_settings import Settings, get_settings
+from hnf_blender.state.addon_settings import Settings, finish_guide, get_settings
 from hnf_blender.state.session_state import STATE, JobStatus, LastJob, PlanLine, PlanView
 from hnf_blender.touch.report import Freshness, StrokeStatus
 from hnf_blender.ui import strokes_panel
@@ -37,11 +37,11 @@ def switched_on():
     hnf_blender.ops.register()
     hnf_blender.ui.register()
     STATE.clear()
-    STATE.has_played = False
+    finish_guide(False)
     yield
     PREVIEW.clear()
     STATE.clear()
-    STATE.has_played = False
+    finish_guide(False)
     hnf_blender.ui.unregister()
     hnf_blender.ops.unregister()
 
@@ -163,7 +163,7 @@ def test_panels_show_first_steps_until_they_are_done() -> None:
     assert scene is not None
     assert "3  Play" in scene.words
     assert "hnf.preview_play" in scene.operators
-    STATE.has_played = True
+    finish_guide()
     scene = drawn(panel("HNF_PT_scene"))
     assert scene is not None
     assert "1  Draw" not in scene.words

@@ -365,3 +365,77 @@ def test_the_tool_polls_true_only_in_object_mode_over_a_view():
     assert [may("EDIT_MESH", "VIEW_3D"), may("OBJECT", "TEXT_EDITOR"), may("OBJECT", None)] == [False] * 3
     assert "Object Mode" in told[0]
     assert "3-D view" in told[1]
+
+
+class Clock:
+    """Time as the pen reads it."""
+
+    def __init__(self, monkeypatch) -> None:
+        from hnf_blender.ops import pen
+
+        self.now = 100.0
+        monkeypatch.setattr(pen.time, "perf_counter", lambda: self.now)
+
+
+def speeds(pen, desk):
+    """Along a drag over the view, of the samples that moved [m/s]."""
+    points, _, times, _ = (np.array(each) for each in zip(*pen.samples(desk.context), strict=True))
+    moved = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return moved[moved > 0.0] / np.maximum(np.diff(times)[moved > 0.0], 1e-9)
+
+
+@pytest.mark.parametrize("interval", [0.008, 0.03])
+@pytest.mark.parametrize("batch", [1, 7, 25])
+def test_how_long_a_view_is_redrawn_changes_no_speed(pen, desk, monkeypatch, interval, batch):
+    """A hand at 100 mm/s; events wait while the view is redrawn, and come in one batch."""
+    add_plane("Cloth", 0.4)
+    clock = Clock(monkeypatch)
+    assert press(pen, desk, 20, 100)
+    begun = clock.now
+    for first in range(1, 51, batch):
+        pen._drawn = begun + (first + batch - 1.5) * interval  # what Blender's draw call notes
+        clock.now = begun + (first + batch - 1) * interval
+        for k in range(first, first + batch):
+            kind = "MOUSEMOVE" if k == first + batch - 1 else "INBETWEEN_MOUSEMOVE"
+            pen.move(desk.context, desk.event(20 + 100 * interval * k, 100, kind))
+    assert np.allclose(speeds(pen, desk), 0.1, rtol=0.05)
+
+
+def test_a_whole_drag_in_one_batch_is_no_burst(pen, desk, monkeypatch):
+    """Press, ten motions and release within 10 ms, all of which waited: not 18 mm in 0.01 s."""
+    add_plane("Cloth", 0.4)
+    clock = Clock(monkeypatch)
+    assert press(pen, desk, 20, 100)
+    for k in range(1, 11):
+        clock.now += 0.0002
+        pen.move(desk.context, desk.event(20 + 2 * k, 100, "MOUSEMOVE" if k == 10 else "INBETWEEN_MOUSEMOVE"))
+    assert speeds(pen, desk).max() < 0.2
+
+
+def test_a_hand_that_rests_still_rests(pen, desk, monkeypatch):
+    add_plane("Cloth", 0.4)
+    clock = Clock(monkeypatch)
+    assert press(pen, desk, 20, 100)
+    for at, x in ((0.1, 40), (1.1, 44), (1.12, 46)):
+        clock.now = 100.0 + at
+        pen.move(desk.context, desk.event(x, 100))
+    _, _, times, _ = (np.array(each) for each in zip(*pen.samples(desk.context), strict=True))
+    assert np.diff(times).max() == pytest.approx(1.0 - 1.0 / 60.0, abs=0.02)
+
+
+def test_the_shortest_stroke_is_drawn_too():
+    """What plays is seen: 10 ms are more than a step of the action, and less than one of the overlay."""
+    from hnf_blender.bridge.stroke.read_stroke import read_stroke, sample_timeline
+
+    add_plane("Cloth")
+    curve = bpy.data.curves.new("Flick", "CURVE")
+    curve.dimensions = "3D"
+    curve.splines.new("POLY").points.add(1)
+    curve.splines[0].points[1].co = (0.02, 0.0, 0.0, 1.0)
+    obj = bpy.data.objects.new("Flick", curve)
+    bpy.context.scene.collection.objects.link(obj)
+    obj.hnf_stroke.is_stroke, obj.hnf_stroke.law, obj.hnf_stroke.duration_s = True, "DURATION", 0.01
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    assert len(read_stroke(obj, bpy.context.scene, depsgraph, 1.0).samples.time) == 3
+    assert len(sample_timeline(obj, bpy.context.scene, 1.0).frames) >= 2

@@ -197,10 +197,7 @@ def test_duplicated_with_its_surface_it_touches_the_copy(saved: Path) -> None:
     assert copy.hnf_stroke.surface == bpy.data.objects["Plate.001"]
     found = statuses()
     assert (found["Along"], found["Below"]) == (FRESH, FRESH)
-    # Its surface has another name, which materials are guessed by.
-    assert found["Along.001"] == STALE
-    bake()
-    assert set(statuses().values()) == {FRESH}
+    assert found["Along.001"] == FRESH  # the name of a copy says nothing else of the material
     assert heard("Along.001") == heard("Along")
 
 
@@ -214,17 +211,15 @@ def test_a_renamed_stroke_stays_fresh(saved: Path) -> None:
 
 
 @pytest.mark.parametrize("what", ["surface", "material"])
-def test_a_rename_marks_strokes_stale_and_rebakes_identically(saved: Path, what: str) -> None:
-    """Names are what materials are guessed by; where the artist has chosen, the signal stays what it was."""
+def test_a_rename_silences_nothing_and_needs_no_bake(saved: Path, what: str) -> None:
+    """Names are what materials are guessed by; where the artist has chosen, they say nothing."""
     opened(saved)
     before = heard("Along")
     plate = bpy.data.objects["Plate"]
     (plate if what == "surface" else plate.material_slots[0].material).name = "Other"
-    assert statuses() == {"Along": STALE, "Below": FRESH}
-    named = {"surface": "surface name", "material": "the materials of the surface"}[what]
-    assert named in STATE.get_statuses(bpy.context.scene)["Along"].why
-    bake()
     assert statuses() == {"Along": FRESH, "Below": FRESH}
+    assert STATE.get_statuses(bpy.context.scene)["Along"].why == ""
+    assert bpy.ops.hnf.bake() == {"CANCELLED"}  # nothing to do
     assert heard("Along") == before
 
 
@@ -309,7 +304,7 @@ def test_each_scene_bakes_its_own_strokes_on_a_shared_object(saved: Path) -> Non
     assert len(read_tokens(plate.data).palette) >= 1
 
 
-def test_a_surface_excluded_in_one_view_layer_works_in_another(saved: Path) -> None:
+def test_a_surface_excluded_in_one_view_layer_plays_as_baked(saved: Path) -> None:
     opened(saved)
     scene, plate = bpy.context.scene, bpy.data.objects["Plate"]
     aside = bpy.data.collections.new("Aside")
@@ -319,9 +314,10 @@ def test_a_surface_excluded_in_one_view_layer_works_in_another(saved: Path) -> N
     other = scene.view_layers.new("Other")
     other.layer_collection.children["Aside"].exclude = True
     found = statuses(view_layer=other)
-    assert found == {"Along": BROKEN, "Below": FRESH}
-    assert "'Plate'" in STATE.get_statuses(bpy.context.scene)["Along"].why
+    assert found == {"Along": FRESH, "Below": FRESH}
+    assert "'Plate' is hidden" in STATE.get_statuses(bpy.context.scene)["Along"].why
     assert statuses(view_layer=scene.view_layers[0]) == {"Along": FRESH, "Below": FRESH}
+    assert STATE.get_statuses(bpy.context.scene)["Along"].why == ""
 
 
 # Edit Mode, undo

@@ -12,7 +12,7 @@ import hnf_blender
 from hnf_blender import translations
 from hnf_blender.ops.material_ops import list_library_items
 from hnf_blender.state import labels
-from hnf_blender.touch.session import CHANGE_DESCRIPTIONS, PATH_ON_SAME_SURFACE
+from hnf_blender.touch.session import CHANGE_DESCRIPTIONS
 from hnf_core.actuators.profile import PROFILES
 
 GERMAN = translations.read_translations("de_DE")
@@ -30,7 +30,7 @@ def test_every_text_has_a_german_one(switched_on: None) -> None:
     tables = (labels.STATUS_LABELS.values(), labels.PLAN_LABELS.values())
     wanted = strings_of_classes(our_classes()) | strings_of_sources() | set(labels.ROUTE_LABELS.values())
     wanted |= {text for table in tables for _, text in table}
-    wanted |= set(CHANGE_DESCRIPTIONS.values()) | {PATH_ON_SAME_SURFACE, "no stroke touches it", "hidden", "muted"}
+    wanted |= set(CHANGE_DESCRIPTIONS.values()) | {"no stroke touches it", "hidden", "muted"}
     # Names and citations stay as they are.
     wanted -= {text for _, label, words in list_library_items() for text in (label, words)}
     wanted -= {text for profile in PROFILES.values() for text in (profile.title, profile.source)}
@@ -109,4 +109,4 @@ def test_why_a_button_is_grey_is_said_in_german(monkeypatch) -> None:
     told: list[str] = []
     operator, context = SimpleNamespace(poll_message_set=told.append), SimpleNamespace(mode="SCULPT")
     assert not poll_object_mode(operator, context)
-    assert told == [GERMAN["Strokes are made in Object Mode: press Tab"]]
+    assert told == [GERMAN["Strokes are made in Object Mode: choose it in the header"]]

@@ -353,7 +353,7 @@ def hash_mesh(obj: Any, depsgraph: Any, metres_per_unit: float, layers: Iterable
     """
     original = obj.original
     evaluated = original.evaluated_get(depsgraph)
-    _, stretch = compute_surface_frame(evaluated.matrix_world, metres_per_unit, f"object '{original.name}'")
+    stretch = _compute_steady_stretch(evaluated, metres_per_unit, f"object '{original.name}'")
     digest = hashlib.blake2b(digest_size=16)
     with evaluated_mesh(evaluated, depsgraph) as mesh:
         digest.update(np.array([len(mesh.vertices), len(mesh.loops), len(mesh.polygons)], dtype=np.int64).tobytes())
@@ -372,6 +372,44 @@ def hash_mesh(obj: Any, depsgraph: Any, metres_per_unit: float, layers: Iterable
     power = float(2.0 ** np.round(np.log2(np.linalg.norm(scale, 2))))
     digest.update((np.round(scale / power, 6) * power + 0.0).tobytes() + repr(float(metres_per_unit)).encode())
     return digest.hexdigest()
+
+
+UNIFORM_TOLERANCE = 1e-5
+"""Relative difference between two scales that float32 matrices leave uncertain."""
+
+
+def _compute_steady_stretch(evaluated: Any, metres_per_unit: float, where: str) -> Float:
+    """Return the stretch of `compute_surface_frame` without the last bits that moving and turning an object changes.
+
+    It is computed from the scales of the object and its parents; rotations are left out where they change no shape. If
+    something else scales the object, as a constraint does, it is that of the world matrix.
+    """
+    _, stretch = compute_surface_frame(evaluated.matrix_world, metres_per_unit, where)
+    chain = [evaluated]
+    while chain[-1].parent is not None:
+        chain.append(chain[-1].parent)
+    linear = np.eye(3)
+    for member in reversed(chain):
+        if member.parent is not None:
+            linear = _drop_rotation(linear @ np.array(member.matrix_parent_inverse, dtype=np.float64)[:3, :3])
+        scale = np.array(member.scale, dtype=np.float64) * np.array(member.delta_scale, dtype=np.float64)
+        is_uniform = np.array_equal(linear, linear[0, 0] * np.eye(3))
+        basis = np.diag(scale) if is_uniform else np.array(member.matrix_basis, dtype=np.float64)[:3, :3]
+        linear = _drop_rotation(linear @ basis)
+    world = np.eye(4)
+    world[:3, :3] = linear
+    if np.linalg.matrix_rank(linear) < 2:
+        return stretch
+    _, steady = compute_surface_frame(world, metres_per_unit, where)
+    return steady if np.abs(steady - stretch).max() <= UNIFORM_TOLERANCE * np.abs(stretch).max() else stretch
+
+
+def _drop_rotation(linear: Float) -> Float:
+    """Return a matrix (3, 3) as a multiple of the identity if it scales all directions alike, else unchanged."""
+    scales = np.linalg.svd(linear, compute_uv=False)
+    if np.linalg.det(linear) <= 0.0 or scales[0] - scales[2] > UNIFORM_TOLERANCE * scales[0]:
+        return linear
+    return np.asarray(scales[0] * np.eye(3))
 
 
 class BlenderGeometry:

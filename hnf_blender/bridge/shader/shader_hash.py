@@ -87,7 +87,7 @@ def hash_material(material: Any, frame: int = 1, read_file: FileReader = read_fi
     return content_hash(
         "nodes",
         method,
-        *_iter_tree_values(material.node_tree, set(), _make_image_hash(frame, read_file)),
+        *_iter_tree_values(material.node_tree, {}, _make_image_hash(frame, read_file)),
         *_describe_working_space(),
     )
 
@@ -115,7 +115,7 @@ def hash_node_tree(tree: Any, frame: int = 1, read_file: FileReader = read_file_
     if tree is None:
         return ""
     return content_hash(
-        "tree", *_iter_tree_values(tree, set(), _make_image_hash(frame, read_file)), *_describe_working_space()
+        "tree", *_iter_tree_values(tree, {}, _make_image_hash(frame, read_file)), *_describe_working_space()
     )
 
 
@@ -128,11 +128,12 @@ def _describe_working_space() -> Iterator[str]:
     yield from filter(None, [compat.working_space()])
 
 
-def _iter_tree_values(tree: Any, visited: set[str], image_hash: ImageHash) -> Iterator[str]:
+def _iter_tree_values(tree: Any, visited: dict[str, int], image_hash: ImageHash) -> Iterator[str]:
     """Yield a node tree's nodes, in the order of the names by which links refer to them, and its links, as text."""
     if tree.name_full in visited:
+        yield str(visited[tree.name_full])  # not its name, which a copy changes
         return
-    visited.add(tree.name_full)
+    visited[tree.name_full] = len(visited)
     if tree.animation_data is not None and tree.animation_data.drivers:
         yield repr([(driver.data_path, driver.driver.expression) for driver in tree.animation_data.drivers])
     yield from _iter_active_outputs(tree)
@@ -198,7 +199,7 @@ def _read_socket_value(socket: Any) -> object:
         return getattr(value, "name_full", repr(value))
 
 
-def _iter_special_values(node: Any, visited: set[str], image_hash: ImageHash) -> Iterator[str]:
+def _iter_special_values(node: Any, visited: dict[str, int], image_hash: ImageHash) -> Iterator[str]:
     """Yield a node's values that are not simple properties: images, ramps, curves, texts, groups."""
     image = getattr(node, "image", None)
     if image is not None:
@@ -223,7 +224,6 @@ def _iter_special_values(node: Any, visited: set[str], image_hash: ImageHash) ->
         yield repr([list(row) for row in target.matrix_world])
     group = getattr(node, "node_tree", None)
     if group is not None:
-        yield group.name_full
         yield from _iter_tree_values(group, visited, image_hash)
 
 

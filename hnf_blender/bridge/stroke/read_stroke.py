@@ -256,6 +256,8 @@ class SceneStroke:
         Library material that replaces the surface's, "" for none.
     notes : tuple of str
         Remarks for the user.
+    rounding_m : float
+        Error of the points by the float32 matrices of the curve and the surface [m].
     """
 
     name: str
@@ -269,6 +271,7 @@ class SceneStroke:
     probe: str
     material: str
     notes: tuple[str, ...] = ()
+    rounding_m: float = 0.0
 
     def get_surface(self, mesh: TriangleMesh) -> TriangleMesh | DeformingMesh:
         """Return the surface's shapes over time if it deforms, else `mesh`: the surface on which contacts are found."""
@@ -370,7 +373,67 @@ def read_stroke(
         probe=str(group.probe),
         material=str(group.material),
         notes=notes,
+        rounding_m=_estimate_rounding(obj, target, depsgraph, arc.length, metres_per_unit),
     )
+
+
+ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
+"""Relative error of a point that passed through several float32 matrices."""
+
+
+def _estimate_rounding(obj: Any, target: Any, depsgraph: Any, length_m: float, metres_per_unit: float) -> float:
+    """Return how far a point on a surface may be off, since both matrices are float32: more, far from the origin [m]."""
+    places = [np.array(member.evaluated_get(depsgraph).matrix_world)[:3, 3] for member in (obj, target)]
+    return ROUNDING * (float(np.abs(places).max()) * metres_per_unit + length_m)
+
+
+PATH_STEP_M, PATH_TOLERANCE_M = 5e-7, 2e-6
+"""Step in which a traced path is stored, and the difference below which two are one, besides rounding [m]."""
+SHAPE_COMPONENTS = 4
+"""Number of sums per axis that a deforming surface is traced by."""
+
+
+@dataclass(frozen=True)
+class PathTrace:
+    """Where a stroke is on its surface over time, to compare with a later look.
+
+    A hash cannot tell rounding from a change: turning an object moves the last bits of every point.
+
+    Attributes
+    ----------
+    steps : (n, c) int32 array
+        Point in the surface frame, position along the curve, and sums over the shape of a deforming surface, at each
+        sample [PATH_STEP_M].
+    rounding_m : float
+        See SceneStroke.
+    """
+
+    steps: NDArray[np.int32]
+    rounding_m: float
+
+    def matches(self, other: PathTrace) -> bool:
+        """Return True if both are one motion but for rounding, which may add a sample at the end."""
+        count = min(len(self.steps), len(other.steps))
+        if abs(len(self.steps) - len(other.steps)) > 1 or self.steps.shape[1] != other.steps.shape[1]:
+            return False
+        difference = np.abs(self.steps[:count].astype(np.int64) - other.steps[:count])
+        limit_m = PATH_TOLERANCE_M + self.rounding_m + other.rounding_m
+        return bool(difference.max(initial=0) * PATH_STEP_M <= limit_m)
+
+
+def trace_path(stroke: SceneStroke) -> PathTrace:
+    """Trace where a stroke is over time."""
+    samples = stroke.samples
+    columns = [samples.point, samples.position[:, None]]
+    if stroke.deforming is not None:
+        vertices = stroke.deforming.vertices
+        # Sums with weights that differ from vertex to vertex: no change of the shape leaves all of them as they are.
+        phase = np.arange(vertices.shape[1])[:, None] * np.sqrt([2.0, 3.0, 5.0, 7.0])
+        sums = np.einsum("fvx,vk->fxk", vertices, np.cos(phase)) / np.sqrt(vertices.shape[1])
+        flat = sums.reshape(len(vertices), 3 * SHAPE_COMPONENTS).T
+        columns.append(np.stack([np.interp(samples.time, stroke.deforming.time, row) for row in flat], axis=1))
+    steps = np.clip(np.round(np.concatenate(columns, axis=1) / PATH_STEP_M), -(2**31), 2**31 - 1)
+    return PathTrace(steps.astype(np.int32), stroke.rounding_m)
 
 
 def to_quantised_bytes(values: NDArray[np.floating[Any]]) -> bytes:
@@ -385,13 +448,13 @@ def to_quantised_bytes(values: NDArray[np.floating[Any]]) -> bytes:
 
 
 def hash_path(stroke: SceneStroke) -> str:
-    """Hash a stroke's path, timing and touched object: everything but force, seed, probe and material."""
+    """Hash a stroke's path and timing: everything but force, seed, probe and material."""
     samples = stroke.samples
     arrays = [samples.time, samples.point, samples.tangent, samples.position, samples.velocity]
     parts = [to_quantised_bytes(array) for array in arrays]
     if stroke.deforming is not None:
         parts += [to_quantised_bytes(stroke.deforming.vertices), to_quantised_bytes(stroke.deforming.time)]
-    return content_hash(stroke.object_name, str(samples.moving), *parts)
+    return content_hash(str(samples.moving), *parts)
 
 
 def hash_touch(stroke: SceneStroke, seed: int) -> str:
@@ -565,7 +628,8 @@ def sample_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = 
     start, frame_s = float(group.start), float(scene.render.fps_base) / float(scene.render.fps)
     channels = tuple(_ignore_drivers(read_channel(obj, name, scene)) for name in ("force", "progress"))
     profile, duration = choose_motion_profile(group, arc.length, (channels[0], channels[1]), start, frame_s, where)
-    time = make_time_grid(duration, rate, where=where)
+    # Two samples at least, so that the shortest stroke that plays is drawn too.
+    time = make_time_grid(duration, max(rate, 1.0 / max(duration, 1.0 / ACTION_RATE_HZ)), where=where)
     frames = start + time / frame_s
     force, progress = sample_channels(obj, scene, channels, frames)
     motion = compute_motion(group, profile, clamp_progress(progress, frames, where=where), time, arc.length, rate)

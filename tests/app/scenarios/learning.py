@@ -130,7 +130,7 @@ def check_esc_leaves_all_as_it_was(stage):
     stage.photograph("learning")
     yield from stage.key("ESC")
     yield from stage.until("it is gone", lambda: state().job is None and not children(), 10.0)
-    stage.expect("it says so", "cancelled" in state().last_job.message, state().last_job)
+    stage.expect("it says so", "canceled" in state().last_job.message, state().last_job)
     stage.expect("no folder is left", job_folders() == [], job_folders())
     stage.expect("nothing in the file changed", slot() == stage.memory["before"], slot())
     kept = learned()
