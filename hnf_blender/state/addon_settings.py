@@ -45,7 +45,7 @@ def get_settings(context: Any = None) -> Any:
 
 
 _session = {"guide_done": False}
-"""What preferences would keep, for a session without them."""
+"""Values of a session without preferences."""
 
 
 def is_guide_done(context: Any = None) -> bool:

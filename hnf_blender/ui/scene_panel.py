@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import bpy
 
 from ..props.scene_settings import list_cached_strokes
+from ..state.addon_settings import is_guide_done
 from ..state.labels import (
     PLAYABLE_STATES,
     compute_progress,
@@ -17,7 +18,6 @@ from ..state.labels import (
     group_plan_lines,
     list_first_steps,
 )
-from ..state.addon_settings import is_guide_done
 from ..state.session_state import STATE, LastJob, PlanView
 from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name

@@ -139,7 +139,7 @@ def test_renaming_silences_no_stroke(names) -> None:
     assert "Names changed" in STATE.get_statuses(bpy.context.scene)[stroke.name].why
 
 
-def test_a_name_that_says_nothing_needs_no_bake_and_one_that_does_is_guessed_from() -> None:
+def test_only_a_name_that_says_something_needs_a_bake() -> None:
     plate, _ = small_scene()
     bake()
     plate.name = plate.data.name = "Lid.003"
@@ -199,7 +199,7 @@ def test_a_full_copy_of_the_scene_plays() -> None:
     assert not needs_bake(next(iter(statuses())))
 
 
-def test_what_is_appended_or_linked_plays_and_so_it_does_where_the_library_moved(tmp_path) -> None:
+def test_what_is_appended_or_linked_plays_wherever_it_lies(tmp_path) -> None:
     plate, _ = small_scene()
     group = bpy.data.node_groups.new("Shared", "ShaderNodeTree")
     plate.data.materials[0].node_tree.nodes.new("ShaderNodeGroup").node_tree = group

@@ -382,7 +382,7 @@ ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
 
 
 def _estimate_rounding(obj: Any, target: Any, depsgraph: Any, length_m: float, metres_per_unit: float) -> float:
-    """Return how far a point on a surface may be off, since both matrices are float32: more, far from the origin [m]."""
+    """Return how far a point on a surface may be off by float32 matrices: more, far from the origin [m]."""
     places = [np.array(member.evaluated_get(depsgraph).matrix_world)[:3, 3] for member in (obj, target)]
     return ROUNDING * (float(np.abs(places).max()) * metres_per_unit + length_m)
 
@@ -395,7 +395,7 @@ SHAPE_COMPONENTS = 4
 
 @dataclass(frozen=True)
 class PathTrace:
-    """Where a stroke is on its surface over time, to compare with a later look.
+    """Path of a stroke on its surface over time, to compare with a later one.
 
     A hash cannot tell rounding from a change: turning an object moves the last bits of every point.
 
