@@ -47,8 +47,8 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         name="First Steps Done", description="The first steps were finished once", options={"HIDDEN"}
     )
 
-    def draw(self, _context: Any) -> None:
-        from .ui.diagnose_panel import draw_cache, draw_external_python
+    def draw(self, context: Any) -> None:
+        from .ui.diagnose_panel import draw_cache, draw_diagnosis, draw_external_python
 
         layout = self.layout
         layout.use_property_split = True
@@ -66,6 +66,7 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         row.operator("hnf.assets_remove", text="Remove")
         layout.label(text="Optional: only Learn a Material… needs an external Python with PyTorch", icon="INFO")
         draw_external_python(layout, self)
+        draw_diagnosis(layout, context)
 
 
 def register() -> None:

@@ -1,4 +1,4 @@
-"""Operators of the Scene panel: plan, bake, cancel, and remove baked data."""
+"""Operators of the bake: plan, bake, cancel, and remove baked data."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 

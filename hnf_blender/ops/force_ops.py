@@ -207,6 +207,32 @@ class HNF_OT_stroke_move(bpy.types.Operator):  # type: ignore[misc]
         return {"FINISHED"}
 
 
+class HNF_OT_stroke_constant(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.stroke_constant"
+    bl_label = "Make Constant"
+    bl_description = "Give the active stroke one speed from end to end instead of the timing that was drawn"
+    bl_options = UNDOABLE
+
+    speed_mm_s: bpy.props.FloatProperty(
+        name="Speed", description="Millimeters per second", default=100.0, min=0.1, max=10_000.0, soft_max=500.0
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return poll_editable_stroke(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..bridge.stroke.edit_keyframes import make_speed_constant
+
+        stroke, scene = get_active_stroke(context), context.scene
+        try:
+            make_speed_constant(stroke, scene, get_metres_per_unit(scene), float(self.speed_mm_s))
+        except HnfError as error:
+            self.report({"ERROR"}, format_error(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
 class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]
     bl_idname = "hnf.stroke_copy_force"
     bl_label = "Copy Force to Selected"
@@ -278,4 +304,10 @@ class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]
         return {"FINISHED"}
 
 
-CLASSES = (HNF_OT_stroke_key_force, HNF_OT_stroke_move, HNF_OT_stroke_copy_force, HNF_OT_force_graph)
+CLASSES = (
+    HNF_OT_stroke_key_force,
+    HNF_OT_stroke_move,
+    HNF_OT_stroke_constant,
+    HNF_OT_stroke_copy_force,
+    HNF_OT_force_graph,
+)

@@ -1,4 +1,4 @@
-"""Operators of the Preview panel: play, stop, pause, and compare with a reference (an earlier signal that was kept)."""
+"""Operators of the preview: play, stop, pause, and compare with a reference (an earlier signal that was kept)."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -170,4 +170,36 @@ class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]
             self.report({"WARNING"}, str(error))
 
 
-CLASSES = (HNF_OT_preview_play, HNF_OT_preview_stop, HNF_OT_preview_pause, HNF_OT_preview_ab)
+FITTED_DB = -1.0
+"""Level of the peak after Fit Loudness, relative to full scale [dB]."""
+
+
+class HNF_OT_fit_loudness(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.fit_loudness"
+    bl_label = "Fit Loudness"
+    bl_description = "Set the gain so that the loudest moment of this stroke just does not clip. Files do not change"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        stroke = get_active_stroke(context)
+        if stroke is None or PREVIEW.get_shown(stroke.name) is None:
+            return fail_poll(cls, NOT_BAKED_REASON)
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview.sound_device import compute_clipping_db
+
+        shown = PREVIEW.get_shown(get_active_stroke(context).name)
+        peak = float(abs(shown.signal.samples).max()) if shown is not None else 0.0
+        if peak <= 0.0:
+            self.report({"WARNING"}, tr("This stroke is silent"))
+            return {"CANCELLED"}
+        # Far above full scale the clipping is the level itself.
+        loud_db = 120.0
+        level_db = compute_clipping_db(peak, loud_db) - loud_db
+        context.scene.hnf.monitor_gain_db = FITTED_DB - level_db
+        redraw_tab()
+        return {"FINISHED"}
+
+
+CLASSES = (HNF_OT_preview_play, HNF_OT_preview_stop, HNF_OT_preview_pause, HNF_OT_preview_ab, HNF_OT_fit_loudness)

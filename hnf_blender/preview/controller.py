@@ -349,7 +349,7 @@ def compute_levels(shown: PreviewResult, profile: ActuatorProfile) -> Levels:
 def get_image_style(context: Any) -> ImageStyle:
     from .stroke_image import ImageStyle
 
-    return ImageStyle(_get_theme(context), get_actuator_profile(context.scene).peak_m_s2)
+    return ImageStyle(_get_theme(context), get_actuator_profile(context.scene).peak_m_s2, logarithmic=True)
 
 
 def _get_theme(context: Any) -> Theme:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 from ..touch.report import Freshness, StrokeStatus
 from ..translations import tr
@@ -17,19 +16,19 @@ MARGIN_PX = 78
 """Width of a boxed label that holds no text: borders, icon, tabs [px]."""
 ELLIPSIS = "…"
 STATUS_LABELS = {
-    Freshness.UNKNOWN: ("QUESTION", "Not checked yet"),
-    Freshness.UNBAKED: ("RADIOBUT_OFF", "Not baked yet"),
-    Freshness.FRESH: ("CHECKMARK", "Up to date"),
-    Freshness.FORCE: ("FORCE_FORCE", "Force changed: no bake needed, just play"),
-    Freshness.STALE: ("FILE_REFRESH", "Out of date: bake again"),
-    Freshness.BROKEN: ("ERROR", "Cannot be used"),
+    Freshness.UNKNOWN: ("QUESTION", "Not Checked Yet"),
+    Freshness.UNBAKED: ("RADIOBUT_OFF", "Not Baked Yet"),
+    Freshness.FRESH: ("CHECKMARK", "Up to Date"),
+    Freshness.FORCE: ("FORCE_FORCE", "Force Changed: Just Play"),
+    Freshness.STALE: ("FILE_REFRESH", "Out of Date: Bake Again"),
+    Freshness.BROKEN: ("ERROR", "Cannot Be Used"),
 }
 """Icon and text of every freshness of a stroke's bake."""
 PLAYABLE_STATES = (Freshness.FRESH, Freshness.FORCE)
 """Freshness of bakes that can be played."""
 PLAN_LABELS = {
-    "needed": ("FILE_REFRESH", "To bake"),
-    "fresh": ("CHECKMARK", "Up to date"),
+    "needed": ("FILE_REFRESH", "To Bake"),
+    "fresh": ("CHECKMARK", "Up to Date"),
     "skipped": ("RADIOBUT_OFF", "Skipped"),
     "failed": ("ERROR", "Problems"),
     "note": ("INFO", "Notes"),
@@ -47,14 +46,6 @@ ROUTE_LABELS = {
 """Plain text of the routes of a band."""
 
 
-class FirstStep(NamedTuple):
-    """Step from an empty scene to the first sound; `icon` shows it as done, current or still to come."""
-
-    text: str
-    icon: str
-    current: bool
-
-
 def describe_status(status: StrokeStatus | None) -> tuple[str, str]:
     """Return icon and sentence of a stroke's status (whether its bake is valid); its own reason takes precedence."""
     freshness = Freshness.UNKNOWN if status is None else status.freshness
@@ -62,21 +53,19 @@ def describe_status(status: StrokeStatus | None) -> tuple[str, str]:
     return icon, tr(status.why if status is not None and status.why else text)
 
 
-def list_first_steps(strokes: int, playable: int, has_played: bool) -> tuple[FirstStep, ...]:
-    """Return the steps from an empty scene to the first sound; empty once a stroke has been played."""
-    if playable and has_played:
-        return ()
-    current_index = 2 if playable else 1 if strokes else 0
-    texts = (tr("1  Draw a stroke on a surface"), tr("2  Bake"), tr("3  Play"))
-    icons = ("CHECKMARK", "TRIA_RIGHT", "BLANK1")
-    return tuple(
-        FirstStep(
-            text,
-            icons[0] if index < current_index else icons[1] if index == current_index else icons[2],
-            index == current_index,
-        )
-        for index, text in enumerate(texts)
-    )
+def describe_freshness(status: StrokeStatus | None) -> tuple[str, str]:
+    """Return icon and short text of a stroke's status, for one line; the reason is in the details."""
+    icon, text = STATUS_LABELS[Freshness.UNKNOWN if status is None else status.freshness]
+    return icon, tr(text)
+
+
+def find_first_step(strokes: int, playable: int, is_done: bool) -> str:
+    """Return the current step from an empty scene to the first sound; "" once a stroke was heard."""
+    if is_done:
+        return ""
+    if playable:
+        return tr("3 of 3: Play It")
+    return tr("2 of 3: Bake It") if strokes else tr("1 of 3: Draw a Stroke")
 
 
 def format_counts(statuses: Iterable[StrokeStatus | None]) -> str:
@@ -228,11 +217,19 @@ def format_confidence(confidence: float) -> str:
 
 
 def shorten_text(text: str, max_characters: int) -> str:
-    """Shorten text to `max_characters` by omitting its middle, since both ends distinguish long names."""
+    """Shorten text to `max_characters` by cutting its end, as Blender does."""
     if len(text) <= max_characters:
         return text
-    length = max(max_characters - len(ELLIPSIS), 2)
-    return text[: (length + 1) // 2] + ELLIPSIS + text[len(text) - length // 2 :]
+    return text[: max(max_characters - len(ELLIPSIS), 1)] + ELLIPSIS
+
+
+def put_surface_first(stroke: str, surface: str) -> str:
+    """Return a stroke's name for the list, its surface first: "Left right on Cushion" → "Cushion: Left right".
+
+    A name that does not mention the surface stays as it is.
+    """
+    before, found, after = stroke.partition(f" on {surface}")
+    return f"{surface}: {before}{after}" if surface and found and before else stroke
 
 
 def wrap_text(text: str, max_characters: int) -> Sequence[str]:

@@ -70,7 +70,7 @@ class LastJob(NamedTuple):
 
 
 class PlanLine(NamedTuple):
-    """Line of the plan of a bake in the Scene panel; `kind` is "needed", "fresh", "skipped", "failed" or "note"."""
+    """Line of the plan of a bake in its popover; `kind` is "needed", "fresh", "skipped", "failed" or "note"."""
 
     kind: str
     what: str
@@ -78,7 +78,7 @@ class PlanLine(NamedTuple):
 
 
 class PlanView(NamedTuple):
-    """Plan of a bake: what it would do, for the Scene panel.
+    """Plan of a bake: what it would do, for its popover.
 
     Attributes
     ----------

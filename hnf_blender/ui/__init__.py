@@ -12,11 +12,10 @@ from . import strokes_panel
 
 MODULES = (
     "scene_panel",
-    "materials_panel",
-    "strokes_panel",
     "preview_panel",
+    "strokes_panel",
+    "materials_panel",
     "actuator_panel",
-    "diagnose_panel",
 )
 """Sub-modules, each with a tuple CLASSES."""
 

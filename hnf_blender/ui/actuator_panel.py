@@ -48,8 +48,7 @@ def describe_profile(profile: ActuatorProfile) -> tuple[str, ...]:
 
 class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
     bl_label = "Actuator"
-    bl_order = 5
-    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
+    bl_parent_id = "HNF_PT_output"
 
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.hnf
@@ -118,10 +117,8 @@ def draw_status(layout: Any, context: Any, facts: ActuatorFacts) -> None:
         column.progress(factor=facts.share, text=level)
     for line in facts.lines:
         draw_paragraph(column, context, line, icon="DOT")
-    if facts.problem:
-        box = layout.box()
-        box.alert = True
-        draw_paragraph(box, context, facts.problem, icon="ERROR")
+    if facts.problem:  # The sentence is in the details beside Play, once.
+        column.label(text="Actuator Does Not Play", icon="ERROR")
 
 
 def draw_live(layout: Any, context: Any, facts: ActuatorFacts) -> None:

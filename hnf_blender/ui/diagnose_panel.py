@@ -1,43 +1,27 @@
-"""Diagnose panel: versions, paths, sizes and the last error, with buttons that remove stored data.
-
-Also draws the external Python in the preferences: its path, its check, and the command that installs what is missing.
-"""
+"""Parts of the preferences: diagnosis, cache, and the external Python with the command that installs what it lacks."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import bpy
-
-from ..ops.diagnose_ops import list_versions
 from ..ops.learn_ops import format_python_status
 from ..state.session_state import STATE, SessionState
 from ..translations import tr
-from .layout import TouchPanel, draw_paragraph, make_button_row
+from .layout import draw_paragraph
 
 
-class HNF_PT_diagnose(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
-    bl_label = "Diagnose"
-    bl_order = 6
-    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
-
-    def draw(self, context: Any) -> None:
-        layout = self.layout
-        column = layout.column(align=True)
-        for name, value in STATE.diagnosis or list_versions():
-            draw_paragraph(
-                column, context, f"{tr(name)}: {value}" if name else value, icon="NONE" if name else "BLANK1"
-            )
-        row = make_button_row(layout, context)
-        row.operator("hnf.diagnose", icon="VIEWZOOM")
-        row.operator("hnf.diagnose_copy", icon="COPYDOWN")
-        draw_cache(layout, STATE)
-        size = dict(STATE.diagnosis).get("Baked data in this file")
-        if size:
-            text = tr("Remove Baked Data ({size})").format(size=size)
-            layout.operator("hnf.purge", text=text, icon="TRASH", translate=False)
-        else:
-            layout.operator("hnf.purge", text="Remove Baked Data", icon="TRASH")
+def draw_diagnosis(layout: Any, context: Any) -> None:
+    """Draw the diagnosis with its buttons."""
+    box = layout.box()
+    column = box.column(align=True)
+    for name, value in STATE.diagnosis:
+        draw_paragraph(column, context, f"{tr(name)}: {value}" if name else value, icon="NONE" if name else "BLANK1")
+    row = box.row(align=True)
+    row.operator("hnf.diagnose", icon="VIEWZOOM")
+    row.operator("hnf.diagnose_copy", icon="COPYDOWN")
+    size = dict(STATE.diagnosis).get("Baked data in this file")
+    text = tr("Remove Baked Data ({size})").format(size=size) if size else tr("Remove Baked Data")
+    row.operator("hnf.purge", text=text, icon="TRASH", translate=False)
 
 
 def draw_cache(layout: Any, state: SessionState) -> None:
@@ -49,9 +33,6 @@ def draw_cache(layout: Any, state: SessionState) -> None:
         )
     else:
         layout.operator("hnf.cache_clear", icon="TRASH")
-
-
-CLASSES = (HNF_PT_diagnose,)
 
 
 CHECK_BUTTON_WIDTH = 4.5

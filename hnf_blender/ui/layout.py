@@ -22,6 +22,15 @@ class TouchPanel:
     bl_category = "Touch"
 
 
+class PopoverPanel:
+    """Base of panels that a button of the tab opens; the sidebar does not list them."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "HEADER"
+    bl_options = {"INSTANCED"}  # Blender reads a set
+    bl_ui_units_x = 15
+
+
 def compute_line_width(context: Any) -> float:
     """Return the width of a line in the region at resolution scale 1 [px]."""
     return float(context.region.width / context.preferences.system.ui_scale - MARGIN_PX)

@@ -21,7 +21,15 @@ from ..state.labels import (
 from ..state.session_state import STATE, get_shown_name
 from ..touch.report import StrokeStatus
 from ..translations import tr
-from .layout import TouchPanel, draw_height_choices, draw_hint, draw_paragraph, make_button_row, shorten_name
+from .layout import (
+    PopoverPanel,
+    TouchPanel,
+    draw_height_choices,
+    draw_hint,
+    draw_paragraph,
+    make_button_row,
+    shorten_name,
+)
 from .preview_panel import compute_image_size
 
 if TYPE_CHECKING:
@@ -29,6 +37,8 @@ if TYPE_CHECKING:
 
 MAX_SUGGESTIONS, MAX_BAKES = 4, 5
 """Number of suggestions, and of strokes listed as baked."""
+MIN_CONFIDENCE = 0.05
+"""Confidence below which a suggestion is not worth its row."""
 
 
 def describe_material(material: Any) -> tuple[str, str]:
@@ -91,13 +101,14 @@ class HNF_UL_slots(bpy.types.UIList):  # type: ignore[misc]  # bpy has no types,
 
 class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
     bl_label = "Materials"
-    bl_order = 1
+    bl_order = 2
+    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
 
     def draw(self, context: Any) -> None:
         layout, obj = self.layout, find_material_object(context)
         if obj is None:
             draw_hint(layout, context, tr("Select a mesh or a stroke to see what its materials feel like"))
-            draw_learn(layout)
+            draw_popovers(layout, context, obj)
             return
         layout.label(text=shorten_name(context, obj.name), icon="OBJECT_DATA", translate=False)
         if len(obj.material_slots) > 1:
@@ -109,7 +120,17 @@ class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
             draw_hint(layout, context, tr("No material in this slot: its feel is guessed from names alone"))
         else:
             draw_material(layout, context, material)
-        draw_learn(layout)
+        draw_popovers(layout, context, obj)
+
+
+def draw_popovers(layout: Any, context: Any, obj: Any) -> None:
+    """Draw the buttons that open what is seldom needed."""
+    row = make_button_row(layout, context)
+    row.popover("HNF_PT_probe", text="One Place", icon="EYEDROPPER")
+    if obj is not None and list_bakes(context.scene, obj):
+        row.popover("HNF_PT_as_baked", text="As Baked", icon="CURVE_DATA")
+    row.popover("HNF_PT_scale", text="Units", icon="DRIVER_DISTANCE")
+    draw_learn(layout)
 
 
 def draw_learn(layout: Any) -> None:
@@ -131,6 +152,7 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
         box.prop(material.hnf_touch, "height_as_authored")
     column = box.column(align=True)
     ranked = STATE.suggestions.get(material.name_full, ())[:MAX_SUGGESTIONS]
+    ranked = tuple(each for each in ranked if each.confidence >= MIN_CONFIDENCE)
     for suggestion in ranked:
         text = f"{format_display_name(suggestion.name)}  {round(100 * suggestion.confidence)} %"
         choose = column.operator(
@@ -159,10 +181,9 @@ def group_equal_bakes(bakes: list[tuple[str, StrokeStatus]]) -> list[tuple[list[
     return list(groups.values())
 
 
-class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
+class HNF_PT_as_baked(PopoverPanel, bpy.types.Panel):  # type: ignore[misc]
     bl_label = "As Baked"
-    bl_parent_id = "HNF_PT_materials"
-    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
+    bl_description = "What each stroke on this object was baked as, and how that is known"
 
     @classmethod
     def poll(cls, context: Any) -> bool:
@@ -190,9 +211,9 @@ MAX_IMAGE_UNITS = 9.0
 """Largest size of the image of a touch query [interface units]."""
 
 
-class HNF_PT_probe(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
+class HNF_PT_probe(PopoverPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
     bl_label = "One Place"
-    bl_parent_id = "HNF_PT_materials"
+    bl_description = "What is felt at one spot, without a stroke"
 
     def draw(self, context: Any) -> None:
         layout, view = self.layout, STATE.query_view

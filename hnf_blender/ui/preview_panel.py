@@ -1,4 +1,4 @@
-"""Preview and export panels: image, playback, level and comparison of the active stroke's signal; its files."""
+"""Bake & Preview panel with its popovers Details and Monitor, and the Output panel with the export of files."""
 
 from __future__ import annotations
 
@@ -9,12 +9,22 @@ import bpy
 from ..actuator.actuator_state import ACTUATOR
 from ..preview.preview_state import PREVIEW, PreviewFacts, get_preview_facts, get_preview_icon
 from ..props.scene_settings import CHOICE_BY_NAME, get_active_stroke, get_shown_profile, list_cached_strokes
+from ..state.labels import describe_freshness, describe_status, format_counts
 from ..state.session_state import STATE
 from ..touch.report import Freshness
 from ..translations import tr
-from .layout import TouchPanel, draw_height_choices, draw_hint, draw_paragraph, make_button_row
+from .layout import (
+    PopoverPanel,
+    TouchPanel,
+    draw_height_choices,
+    draw_hint,
+    draw_paragraph,
+    make_button_row,
+    shorten_name,
+)
+from .scene_panel import draw_first_step, draw_job, draw_last_job, filter_by_scene
 
-UNIT_PX, IMAGE_SIZE_UNITS = 20.0, (5.0, 18.0)
+UNIT_PX, IMAGE_SIZE_UNITS = 20.0, (5.0, 8.5)
 """Size of an interface unit [px], and smallest and largest size of the image [interface units]."""
 
 
@@ -31,78 +41,191 @@ def has_bake(scene: Any, stroke: Any) -> bool:
 
 
 class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
-    bl_label = "Preview"
-    bl_order = 3
+    """Status, the button for what is needed next, the picture and the comparison; each keeps its place."""
+
+    bl_label = "Bake & Preview"
+    bl_order = 0
 
     def draw(self, context: Any) -> None:
         layout, stroke = self.layout, get_active_stroke(context)
+        strokes = list_cached_strokes(context.scene)
+        draw_first_step(layout, context, strokes)
+        row = layout.row(align=True)
+        icon, text = describe_state(context.scene, stroke, strokes)
+        row.label(text=shorten_name(context, text, reserved=4), icon=icon, translate=False)
+        row.popover("HNF_PT_details", text="", icon="INFO")
+        row.popover("HNF_PT_plan", text="", icon="VIEWZOOM")
+        draw_main_button(layout, context, stroke, strokes)
+        facts, image = get_preview_facts(stroke), get_preview_icon(stroke)
+        if stroke is None:
+            return
+        draw_remark(layout, context, stroke)
+        if image:
+            size = compute_image_size(context.region.width, float(context.preferences.system.ui_scale))
+            layout.template_icon(icon_value=image, scale=size)
+        draw_comparison(layout, facts)
+
+
+def describe_state(scene: Any, stroke: Any, strokes: list[Any]) -> tuple[str, str]:
+    """Return icon and text of the status line: the active stroke's state, or that of all."""
+    if stroke is not None:
+        status = STATE.get_status(scene, stroke)
+        return describe_freshness(status)
+    text = format_counts(STATE.get_status(scene, obj) for obj in strokes if not obj.hnf_stroke.mute)
+    return "CURVE_DATA", text or tr("No Stroke Yet")
+
+
+def draw_main_button(layout: Any, context: Any, stroke: Any, strokes: list[Any]) -> None:
+    """Draw one row with the button for what is needed next: draw, bake, or play."""
+    row = layout.row(align=True)
+    row.scale_y = 1.4
+    facts, scene = get_preview_facts(stroke), context.scene
+    if STATE.job is not None:
+        draw_job(row, context)
+    elif not strokes:
+        row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
+        row.menu("HNF_MT_stroke_add", text="Ready Strokes")
+    elif facts is not None and facts.playing:
+        row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
+        pause_icon = "PLAY" if facts.paused else "PAUSE"
+        row.operator("hnf.preview_pause", text="", icon=pause_icon, depress=facts.paused)
+    elif needs_bake(scene, stroke, strokes):
+        row.operator("hnf.bake", text="Bake", icon="RENDER_STILL").only_active = False
+    else:
+        row.operator("hnf.preview_play", text="Play", icon="PLAY")
+        row.operator("hnf.bake", text="", icon="RENDER_STILL").only_active = False
+        row.prop(scene.hnf, "loop", text="", icon="FILE_REFRESH")
+
+
+def needs_bake(scene: Any, stroke: Any, strokes: list[Any]) -> bool:
+    """Return whether a bake is what is needed next: the active stroke cannot be played, or none can."""
+    statuses = [STATE.get_status(scene, obj) for obj in ([stroke] if stroke is not None else strokes)]
+    return bool(statuses) and all(
+        status is not None and status.freshness in (Freshness.UNBAKED, Freshness.STALE, Freshness.BROKEN)
+        for status in statuses
+    )
+
+
+def draw_remark(layout: Any, context: Any, stroke: Any) -> None:
+    """Draw one line: the most urgent warning, with what mends it, or the signal's level.
+
+    All of them are in the details. The line is always there, so that nothing moves when a warning comes.
+    """
+    facts, status = get_preview_facts(stroke), STATE.get_status(context.scene, stroke)
+    row = layout.row(align=True)
+    doubted = next(filter(None, map(bpy.data.materials.get, () if status is None else status.doubted_shaders)), None)
+    outcome = filter_by_scene(context.scene, STATE.last_job)
+    if PREVIEW.sound_problem:
+        row.label(text="No Sound", icon="ERROR")
+        row.operator("screen.userpref_show", text="Choose Device…").section = "SYSTEM"
+    elif ACTUATOR.facts.problem:
+        row.label(text="Actuator Does Not Play", icon="ERROR")
+    elif outcome is not None and not outcome.ok:
+        row.label(text="Bake Has Problems", icon="ERROR")
+    elif doubted is not None:
+        row.label(text="Height Not Believed", icon="ERROR")
+        row.prop(doubted.hnf_touch, "height_as_authored", text="As Authored", toggle=True)
+    elif status is not None and any(SCALE_HINT in warning for warning in status.warnings):
+        row.label(text="No Real Size", icon="ERROR")
+        row.operator("hnf.set_real_length", text="Set Real Length")
+    elif facts is not None and is_implausible(stroke, facts):
+        row.label(text="Too Fast for a Hand", icon="ERROR")
+        row.operator("hnf.stroke_constant", text="Make Constant")
+    elif status is not None and GUESS_CONFIDENCE > status.confidence > 0.0 and not stroke.hnf_stroke.material:
+        row.label(text="Material Is a Guess", icon="ERROR")
+        row.operator("hnf.stroke_material", text="Choose…")
+    elif facts is not None and facts.lines:
+        row.label(text=facts.lines[0], icon="INFO", translate=False)
+    else:
+        row.label(text="Bake to See and Hear It", icon="INFO")
+
+
+SCALE_HINT = "no real-world size"
+"""Words of the note on a reconstruction whose scale is not set."""
+GUESS_CONFIDENCE = 0.3
+"""Confidence below which a material is a guess."""
+FASTEST_M_S, SHORTEST_S = 1.0, 0.05
+"""Mean speed above which, and duration below which, no hand drew a stroke: its events came late."""
+
+
+def is_implausible(stroke: Any, facts: PreviewFacts) -> bool:
+    """Return whether the timing of a drawn stroke is none of a hand."""
+    shown = PREVIEW.get_shown(stroke.name)
+    if shown is None or not facts.duration_s:
+        return False
+    return bool(facts.duration_s < SHORTEST_S or float(shown.action.speed.mean()) > FASTEST_M_S)
+
+
+class HNF_PT_details(PopoverPanel, bpy.types.Panel):  # type: ignore[misc]
+    """All that is known of the active stroke and of the last bake, in sentences."""
+
+    bl_label = "Details"
+    bl_description = "Levels, warnings and the last bake, in sentences"
+
+    def draw(self, context: Any) -> None:
+        layout, stroke = self.layout, get_active_stroke(context)
+        column = layout.column(align=True)
+        if PREVIEW.sound_problem:
+            draw_paragraph(column, context, PREVIEW.sound_problem, icon="ERROR")
+        if ACTUATOR.facts.problem:
+            draw_paragraph(column, context, ACTUATOR.facts.problem, icon="ERROR")
+        draw_last_job(column, context)
         if stroke is None:
             text = tr("Click a stroke in the list to hear it") if list_cached_strokes(context.scene) else ""
             draw_hint(layout, context, text or tr("Nothing to hear yet: draw a stroke, then bake it"))
             return
-        facts, icon = get_preview_facts(stroke), get_preview_icon(stroke)
-        if icon:
-            size = compute_image_size(context.region.width, float(context.preferences.system.ui_scale))
-            layout.template_icon(icon_value=icon, scale=size)
-        row = layout.row(align=True)
-        row.scale_y = 1.3
-        if facts is not None and facts.playing:
-            row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
-            pause_icon = "PLAY" if facts.paused else "PAUSE"
-            row.operator("hnf.preview_pause", text="", icon=pause_icon, depress=facts.paused)
-        else:
-            row.operator("hnf.preview_play", text="Play", icon="PLAY")
-        row.prop(context.scene.hnf, "loop", text="", icon="FILE_REFRESH")
-        if ACTUATOR.facts.problem:
-            box = layout.box()
-            box.alert = True
-            draw_paragraph(box, context, ACTUATOR.facts.problem, icon="ERROR")
+        facts, status = get_preview_facts(stroke), STATE.get_status(context.scene, stroke)
+        if status is not None and status.why:
+            draw_paragraph(column, context, status.why, icon=describe_status(status)[0])
         if facts is None or not has_bake(context.scene, stroke):
             draw_hint(layout, context, tr("Bake this stroke to see and hear it"))
-            return
-        if facts.problem:
-            box = layout.box()
-            box.alert = True
-            draw_paragraph(box, context, tr(facts.problem), icon="ERROR")
-        elif facts.busy:
-            draw_paragraph(layout, context, tr("Updating…"), icon="SORTTIME")
-        column = layout.column(align=True)
-        for line in facts.lines:
+        elif facts.problem and (status is None or facts.problem != status.why):
+            draw_paragraph(column, context, tr(facts.problem), icon="ERROR")
+        lines = () if facts is None else facts.lines
+        for line in lines or (() if status is None else status.warnings):
             draw_paragraph(column, context, line, icon="DOT")
-        status = STATE.get_status(context.scene, stroke)
         draw_height_choices(layout, context, () if status is None else status.doubted_shaders)
-        draw_comparison(layout, facts)
 
 
-def draw_comparison(layout: Any, facts: PreviewFacts) -> None:
-    """Draw the comparison of reference A (a signal that was kept) with the current signal."""
-    if not facts.has_kept:
-        layout.operator("hnf.preview_ab", text="Keep as A to Compare", icon="PINNED").action = "KEEP"
-        return
+def draw_comparison(layout: Any, facts: PreviewFacts | None) -> None:
+    """Draw the comparison of reference A (a signal that was kept) with the current signal, and the loudness."""
     row = layout.row(align=True)
-    shows_reference = facts.shows == "A"
-    switch = row.operator(
-        "hnf.preview_ab",
-        text="Hearing A: Kept" if shows_reference else "Hearing B: Current",
-        icon="ARROW_LEFTRIGHT",
-        depress=shows_reference,
-    )
-    switch.action = "SWITCH"
-    row.operator("hnf.preview_ab", text="", icon="X").action = "FORGET"
+    if facts is None or not facts.has_kept:
+        row.operator("hnf.preview_ab", text="Keep as A", icon="PINNED").action = "KEEP"
+    else:
+        shows_reference = facts.shows == "A"
+        switch = row.operator(
+            "hnf.preview_ab",
+            text="Hearing A: Kept" if shows_reference else "Hearing B: Current",
+            icon="ARROW_LEFTRIGHT",
+            depress=shows_reference,
+        )
+        switch.action = "SWITCH"
+        row.operator("hnf.preview_ab", text="", icon="X").action = "FORGET"
+    row.popover("HNF_PT_monitor", text="", icon="SPEAKER")
 
 
-class HNF_PT_monitor(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
+class HNF_PT_monitor(PopoverPanel, bpy.types.Panel):  # type: ignore[misc]
     bl_label = "Monitor"
-    bl_parent_id = "HNF_PT_preview"
-    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
+    bl_description = "Loudness of the preview"
 
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.hnf
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(settings, "monitor_gain_db", text="Gain (dB)")
+        layout.operator("hnf.fit_loudness", icon="FULLSCREEN_ENTER")
         draw_paragraph(layout, context, tr("Preview only: exported files do not change"), icon="INFO")
         layout.prop(settings, "follow_timeline")
+
+
+class HNF_PT_output(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
+    bl_label = "Output"
+    bl_order = 3
+    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
+
+    def draw(self, context: Any) -> None:
+        """Draw nothing: the two panels below it do."""
 
 
 MAX_LINES = 4
@@ -111,8 +234,7 @@ MAX_LINES = 4
 
 class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
     bl_label = "Export"
-    bl_order = 4
-    bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
+    bl_parent_id = "HNF_PT_output"
 
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene
@@ -158,4 +280,4 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy h
             draw_hint(layout, context, tr("Click a stroke in the list: the buttons above act on the selected stroke"))
 
 
-CLASSES = (HNF_PT_preview, HNF_PT_monitor, HNF_PT_export)
+CLASSES = (HNF_PT_preview, HNF_PT_details, HNF_PT_monitor, HNF_PT_output, HNF_PT_export)

@@ -15,31 +15,29 @@ from hnf_core.action.primitives import PRIMITIVES
 from .. import compat
 from ..actuator.actuator_state import SPEAKERS, get_selected_output
 from ..ops.material_ops import format_display_name
-from ..preview.preview_state import get_preview_facts
 from ..props.object_cache import STROKES
 from ..props.scene_settings import find_index, find_namesake, get_active_stroke, list_cached_strokes
 from ..registration import add_handlers, remove_handlers
-from ..state.labels import describe_status, shorten_text
+from ..state.labels import describe_freshness, put_surface_first
 from ..state.session_state import STATE
+from ..touch.report import StrokeStatus
 from ..translations import tr
 from .layout import (
     TouchPanel,
     compute_line_width,
-    count_line_characters,
-    draw_height_choices,
     draw_hint,
     draw_paragraph,
     make_button_row,
 )
 from .scene_panel import shows_first_step_tools
 
-MIN_ROWS, MAX_ROWS = 2, 8
+MIN_ROWS, MAX_ROWS = 3, 8
 """Smallest and largest number of rows in the list."""
 
 
 class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy has no types
     bl_label = "Strokes"
-    bl_order = 2
+    bl_order = 1
 
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene
@@ -88,7 +86,6 @@ class HNF_PT_stroke(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
     def draw(self, context: Any) -> None:
         layout, stroke = self.layout, get_active_stroke(context)
         group = stroke.hnf_stroke
-        layout.prop(stroke, "name", text="", icon="CURVE_DATA")
         if find_namesake(context.scene, stroke) is not None:
             draw_paragraph(
                 layout,
@@ -96,30 +93,25 @@ class HNF_PT_stroke(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
                 tr("A linked stroke has the same name, and the other one may be shown instead. Rename yours"),
                 icon="ERROR",
             )
-        status, preview = STATE.get_status(context.scene, stroke), get_preview_facts(stroke)
-        icon, text = describe_status(status)
-        draw_paragraph(layout, context, text, icon=icon)
-        if status is not None and (preview is None or not preview.lines):  # Otherwise the preview shows the warnings.
-            for warning in status.warnings:
-                draw_paragraph(layout, context, warning, icon="ERROR")
-            draw_height_choices(layout, context, status.doubted_shaders)
         layout.use_property_split = True
         column = layout.column()
         column.use_property_decorate = False
         column.prop(group, "surface")
         column.prop(group, "rides")
-        if group.surface is None:
-            draw_paragraph(column, context, tr("Empty: the nearest visible mesh is touched"), icon="BLANK1")
         column.prop(group, "probe")
         row = make_labelled_row(column, "Feels")
         material_label = format_display_name(group.material) if group.material else tr("Surface material")
         row.operator("hnf.stroke_material", text=material_label, icon="MATERIAL", translate=False)
         if group.material:
             row.operator("hnf.stroke_material_auto", text="", icon="X")
+        row = layout.row(align=True)
+        row.prop(group, "force", text="Force (N)")
+        row.operator("hnf.force_graph", text="", icon="GRAPH")
+        row.operator("hnf.stroke_copy_force", text="", icon="COPYDOWN")
 
 
 class HNF_PT_stroke_time(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
-    bl_label = "Time"
+    bl_label = "Time and Seed"
     bl_options = {"DEFAULT_CLOSED"}  # Blender reads a set
 
     def draw(self, context: Any) -> None:
@@ -145,32 +137,9 @@ class HNF_PT_stroke_time(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[mi
                 draw_paragraph(column, context, tr("Key progress at two frames at least"), icon="INFO")
         if keyed or group.law == "PROGRESS":
             layout.prop(group, "progress")
-
-
-class HNF_PT_stroke_force(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
-    bl_label = "Force"
-
-    def draw(self, context: Any) -> None:
-        layout, stroke = self.layout, get_active_stroke(context)
-        split = layout.column()
-        split.use_property_split = True
-        split.prop(stroke.hnf_stroke, "force", text="Force (N)")
-        row = make_button_row(layout, context)
-        row.operator("hnf.stroke_key_force", text="Key", icon="KEY_HLT")
-        row.operator("hnf.force_graph", text="Graph Editor", icon="GRAPH")
-        layout.operator("hnf.stroke_copy_force", text="Copy Force to Selected", icon="COPYDOWN")
-        if is_keyed(stroke, "force"):
-            draw_paragraph(layout, context, tr("Keyed: edit its curve and play again"), icon="FCURVE")
-
-
-class HNF_PT_stroke_variation(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
-    bl_label = "Variation"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    def draw(self, context: Any) -> None:
-        self.layout.use_property_split = True
-        self.layout.use_property_decorate = False
-        self.layout.prop(get_active_stroke(context).hnf_stroke, "seed")
+        column = layout.column()
+        column.use_property_decorate = False
+        column.prop(group, "seed")
 
 
 def make_labelled_row(layout: Any, text: str) -> Any:
@@ -231,8 +200,8 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]
         name.alignment = "LEFT"
         select = name.operator(
             "hnf.stroke_select",
-            text=shorten_text(obj.name, max(4, int(name_fraction * count_line_characters(context)) - 6)),
-            icon=describe_status(status)[0],
+            text=format_listed_name(obj, status),  # Blender cuts what is too long, at its end
+            icon=describe_freshness(status)[0],
             emboss=False,
             translate=False,
         )
@@ -252,8 +221,14 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]
             if query in obj.name.lower():
                 shown[index] = self.bitflag_filter_item
         return shown, compute_order(
-            [obj.name.lower() for _, obj in numbered], [index for index, _ in numbered], len(shown)
+            [format_listed_name(obj, None).lower() for _, obj in numbered], [index for index, _ in numbered], len(shown)
         )
+
+
+def format_listed_name(obj: Any, status: StrokeStatus | None) -> str:
+    """Return a stroke's name for the list, which begins with its surface."""
+    surface = obj.hnf_stroke.surface
+    return put_surface_first(obj.name, surface.name if surface is not None else status.object_name if status else "")
 
 
 def compute_order(names: Sequence[str], indices: Sequence[int], count: int) -> list[int]:
@@ -347,6 +322,4 @@ CLASSES = (
     HNF_PT_strokes,
     HNF_PT_stroke,
     HNF_PT_stroke_time,
-    HNF_PT_stroke_force,
-    HNF_PT_stroke_variation,
 )

@@ -357,7 +357,8 @@ def test_the_panel_says_what_goes_on_and_what_went_wrong(virtual) -> None:
         shown = panel()
         assert words in shown.words
         assert "Coil at 31.0 °C" in shown.words
-        assert "The port was unplugged." in shown.words
+        assert "Actuator Does Not Play" in shown.words
+        assert "The port was unplugged." not in shown.words  # once, in the details beside Play
         assert ("1.5 m/s²" in shown.words) is (phase in (Phase.PLAYING, Phase.LIVE))
         assert words in translations.read_translations("de_DE")
     assert {"hnf.actuator_test", "hnf.preview_stop", "hnf.live_touch"} <= set(shown.operators)

@@ -226,7 +226,7 @@ def test_what_is_appended_or_linked_plays_wherever_it_lies(tmp_path) -> None:
         assert set(statuses().values()) == {FRESH}
 
 
-def test_a_job_does_not_lose_what_was_turned_or_renamed_meanwhile() -> None:
+def test_a_job_keeps_what_was_turned_or_renamed_meanwhile() -> None:
     from job_scene import finish, kept, start
 
     plate, stroke = small_scene()

@@ -420,24 +420,28 @@ def test_a_plan_says_what_becomes_of_an_unlikely_height(tmp_path, capsys):
 
 def test_the_option_stands_where_the_doubt_does(stroke_properties):
     """In the stroke's panel, in its preview and under the place that was examined."""
-    from hnf_blender import ui
+    from hnf_blender import ops, ui
 
     stroke = line_stroke("Along", surface=plate(noise_material(1.0)))
     bpy.context.view_layer.objects.active = stroke
     STATE.clear()
+    ops.register()
     ui.register()
     try:
         refresh_status(bpy.context.scene)
-        shown = drawn(bpy.types.HNF_PT_stroke)
+        assert "height_as_authored" in drawn(bpy.types.HNF_PT_preview).props
+        shown = drawn(bpy.types.HNF_PT_details)
         assert "height_as_authored" in shown.props
         assert "says 1 m of relief" in shown.words.replace("\n", " ")
         assert "Height as Authored: Old" in shown.words
         bpy.data.materials["Old"].node_tree.nodes["Bump"].inputs["Distance"].default_value = 1e-5
         STATE.clear()
         refresh_status(bpy.context.scene)
-        assert "height_as_authored" not in drawn(bpy.types.HNF_PT_stroke).props
+        for panel in (bpy.types.HNF_PT_preview, bpy.types.HNF_PT_details):
+            assert "height_as_authored" not in drawn(panel).props
     finally:
         ui.unregister()
+        ops.unregister()
         STATE.clear()
 
 

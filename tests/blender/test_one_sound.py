@@ -57,7 +57,7 @@ def add_speaker(stroke, sound):
     return speaker
 
 
-def test_a_strip_or_a_speaker_that_sounds_takes_the_place_of_following(stroke, sound) -> None:
+def test_a_strip_or_speaker_takes_the_place_of_following(stroke, sound) -> None:
     scene = bpy.context.scene
     assert followed(scene) == 1
     strip, speaker = add_strip(stroke, sound), add_speaker(stroke, sound)
@@ -84,7 +84,7 @@ def test_a_speaker_is_as_loud_from_afar(stroke, sound) -> None:
     assert add_speaker(stroke, sound).data.attenuation == 0.0
 
 
-def test_the_guide_is_done_when_something_was_heard_and_not_before(stroke, monkeypatch) -> None:
+def test_the_guide_is_done_when_something_was_heard(stroke, monkeypatch) -> None:
     def fail(_sound) -> None:
         raise SceneError("there is no sound device.")
 

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import bpy
 import pytest
 from builders import add_plane
-from panel_recorder import Recorder, context_of, drawn, rna_of
+from panel_recorder import HEADER_PX, Recorder, Sized, context_of, drawn, rna_of
 
 import hnf_blender.ops
 import hnf_blender.ui
@@ -132,62 +132,147 @@ def test_drawing_changes_nothing(each: type) -> None:
 
 
 def test_the_tab_is_in_the_order_of_the_work() -> None:
-    tops = [each for each in PANELS if not getattr(each, "bl_parent_id", "")]
-    assert {each.bl_category for each in PANELS} == {"Touch"}
+    listed = [each for each in PANELS if each.bl_region_type == "UI"]
+    assert {each.bl_category for each in listed} == {"Touch"}
+    tops = [each for each in listed if not getattr(each, "bl_parent_id", "")]
     assert [each.bl_label for each in sorted(tops, key=lambda each: each.bl_order)] == [
-        "Scene", "Materials", "Strokes", "Preview", "Export", "Actuator", "Diagnose",
+        "Bake & Preview", "Strokes", "Materials", "Output",
     ]  # fmt: skip
+    popovers = {each.bl_label for each in PANELS if each not in listed}
+    assert popovers == {"Details", "Plan", "Monitor", "One Place", "As Baked", "Units"}
+
+
+def tab(name: str = "HNF_PT_preview") -> Recorder:
+    """What a panel shows now."""
+    found = drawn(panel(name))
+    assert found is not None
+    return found
 
 
 def test_panels_show_first_steps_until_they_are_done() -> None:
-    scene = drawn(panel("HNF_PT_scene"))
-    assert scene is not None
-    assert "1  Draw a stroke" in scene.words
-    assert "no mesh" in scene.words
-    plane = add_plane()
-    scene = drawn(panel("HNF_PT_scene"))
-    assert scene is not None
-    assert "no mesh" not in scene.words
-    assert "hnf.stroke_tool" in scene.operators
-    strokes = drawn(panel("HNF_PT_strokes"))
-    assert strokes is not None
-    assert "hnf.stroke_tool" not in strokes.operators  # one panel has it, not both
-    stroke = add_stroke("Rub", plane)
-    scene, strokes = drawn(panel("HNF_PT_scene")), drawn(panel("HNF_PT_strokes"))
-    assert scene is not None
-    assert strokes is not None
-    assert ("hnf.stroke_tool" in scene.operators, "hnf.stroke_tool" in strokes.operators) == (False, True)
-    assert "2  Bake" in scene.words
+    assert "1 of 3: Draw a Stroke" in tab().words
+    assert "hnf.stroke_tool" in tab().operators
+    assert "hnf.stroke_tool" not in tab("HNF_PT_strokes").operators  # one panel has it, not both
+    stroke = add_stroke("Rub", add_plane())
+    assert ("hnf.stroke_tool" in tab().operators, "hnf.stroke_tool" in tab("HNF_PT_strokes").operators) == (False, True)
+    assert "2 of 3: Bake It" in tab().words
     STATE.get_statuses(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.FRESH)
-    scene = drawn(panel("HNF_PT_scene"))
-    assert scene is not None
-    assert "3  Play" in scene.words
-    assert "hnf.preview_play" in scene.operators
+    assert "3 of 3: Play It" in tab().words
+    assert "hnf.preview_play" in tab().operators
     finish_guide()
-    scene = drawn(panel("HNF_PT_scene"))
-    assert scene is not None
-    assert "1  Draw" not in scene.words
+    assert "of 3" not in tab().words
+
+
+@pytest.mark.parametrize("freshness", Freshness)
+def test_the_main_button_is_what_is_needed_next(freshness: Freshness) -> None:
+    stroke = add_stroke("Rub", add_plane())
+    STATE.get_statuses(bpy.context.scene)[stroke.name] = StrokeStatus(freshness)
+    wanted = freshness in (Freshness.UNBAKED, Freshness.STALE, Freshness.BROKEN)
+    assert ("Bake" in [text for text, _ in tab().texts]) == wanted
+    assert ("hnf.preview_play" in tab().operators) != wanted
+    assert labels.STATUS_LABELS[freshness][1] in tab().words
 
 
 def test_the_preview_says_what_is_missing_then_shows_figures() -> None:
-    nothing = drawn(panel("HNF_PT_preview"))
-    assert nothing is not None
-    assert "draw a stroke" in nothing.words.replace("\n", " ")
+    assert "draw a stroke" in tab("HNF_PT_details").words.replace("\n", " ")
     stroke = add_stroke("Rub", add_plane())
     PREVIEW.facts[stroke.name] = PreviewFacts(stroke.name, problem="Not baked yet.")
     STATE.get_statuses(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.UNBAKED)
-    unbaked = drawn(panel("HNF_PT_preview"))
-    assert unbaked is not None
-    assert "Bake this stroke" in unbaked.words
-    assert "Not baked yet." not in unbaked.words
+    assert "Bake this stroke" in tab("HNF_PT_details").words
+    assert "Not baked yet." not in tab("HNF_PT_details").words
     STATE.get_statuses(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.FRESH)
     PREVIEW.facts[stroke.name] = PreviewFacts(stroke.name, 1.2, playing=True, has_kept=True, lines=("peak 3 m/s²",))
-    playing = drawn(panel("HNF_PT_preview"))
-    assert playing is not None
+    playing = tab()
     assert "peak 3 m/s²" in playing.words
     assert {"hnf.preview_stop", "hnf.preview_pause"} <= set(playing.operators)
     assert "hnf.preview_play" not in playing.operators
     assert ("hnf.preview_ab", "action", "SWITCH") in playing.given
+
+
+def warn(kind: str, stroke: bpy.types.Object) -> str:
+    """Make one warning the most urgent one; the operator or property that mends it, "" where the details do."""
+    status, facts = StrokeStatus(Freshness.FRESH, confidence=0.9), PreviewFacts(stroke.name, 1.2, lines=("1.2 s",))
+    mends = ""
+    if kind == "sound":
+        PREVIEW.sound_problem, mends = "there is no sound device.", "screen.userpref_show"
+    elif kind == "height":
+        status, mends = status._replace(doubted_shaders=("Oak",)), "height_as_authored"
+    elif kind == "scale":
+        note = "object 'Scan' is a reconstruction, which has no real-world size: one unit is assumed to be 1 m."
+        status, mends = status._replace(warnings=(note, "Another.")), "hnf.set_real_length"
+    elif kind == "guess":
+        status, mends = status._replace(confidence=0.1), "hnf.stroke_material"
+    elif kind == "bake":
+        STATE.last_job = LastJob(False, "The bake stopped. Bake again.", ("Killed",))
+    STATE.get_statuses(bpy.context.scene)[stroke.name] = status
+    PREVIEW.facts[stroke.name] = facts
+    return mends
+
+
+KINDS = ("", "sound", "height", "scale", "guess", "bake")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_warning_at_most_with_what_mends_it(kind: str) -> None:
+    bpy.data.materials.new("Oak")
+    stroke = add_stroke("Rub", add_plane())
+    finish_guide()
+    mends, shown = warn(kind, stroke), tab()
+    assert mends in ("", *shown.operators, *shown.props)
+    assert shown.icons.count("ERROR") == (kind != "")
+    assert sum("." in text for text, _ in shown.texts) <= (kind == "")  # no sentence; 1.2 s is none
+    PREVIEW.sound_problem = ""
+
+
+def test_nothing_moves_when_a_message_comes() -> None:
+    bpy.data.materials.new("Oak")
+    stroke = add_stroke("Rub", add_plane())
+    finish_guide()
+    heights = set()
+    for kind in KINDS:
+        warn(kind, stroke)
+        heights.add(measured("HNF_PT_preview"))
+        STATE.last_job, PREVIEW.sound_problem = None, ""
+    STATE.job = JobStatus("Close-ups", 3, 12, 4.0, 11.0)
+    heights.add(measured("HNF_PT_preview"))
+    STATE.job = None
+    PREVIEW.facts[stroke.name] = PreviewFacts(stroke.name, 1.2, playing=True, has_kept=True)
+    heights.add(measured("HNF_PT_preview"))
+    assert len(heights) == 1
+
+
+def measured(name: str) -> tuple[int, float]:
+    """Rows and height [px] of a panel's content at resolution scale 1."""
+    layout = Sized()
+    panel(name).draw(SimpleNamespace(layout=layout, bl_rna=panel(name).bl_rna), context_of())
+    return layout.rows, layout.height
+
+
+def test_the_tab_of_a_baked_stroke_fits_a_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    """740 px of a 1280 × 800 window, 25 rows and 90 words, with what is open by default; a popover is one row."""
+    plane = add_plane()
+    plane.data.materials.append(bpy.data.materials.new("Oak table"))
+    stroke = add_stroke("Left right on Plane", plane)
+    STATE.get_statuses(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.FRESH, "", 1.2, "Plane", "oak-wood")
+    PREVIEW.facts[stroke.name] = PreviewFacts(stroke.name, 1.2, lines=("1.20 s; peak 3 m/s², RMS 1 m/s²",))
+    PREVIEW.icons[stroke.name] = 1
+    monkeypatch.setattr("hnf_blender.ui.preview_panel.get_preview_icon", lambda _stroke: 1)
+    rows, height, words = 0, 0.0, []
+    for each in [each for each in PANELS if each.bl_region_type == "UI"]:
+        parent = next((one for one in PANELS if one.__name__ == getattr(each, "bl_parent_id", "")), None)
+        if parent is not None and "DEFAULT_CLOSED" in getattr(parent, "bl_options", ()):
+            continue
+        rows, height, words = rows + 1, height + HEADER_PX, [*words, each.bl_label]
+        if "DEFAULT_CLOSED" in getattr(each, "bl_options", ()):
+            continue
+        content = Sized()
+        each.draw(SimpleNamespace(layout=content, bl_rna=each.bl_rna), context_of())
+        rows, height, words = rows + content.rows, height + content.height, [*words, *content.words]
+    count = len(" ".join(words).split())
+    assert rows <= 25
+    assert height <= 740.0
+    assert count <= 90
+    print(f"rows {rows}, height {height:.0f} px, words {count}")
 
 
 def test_custom_actuator_fields_show_only_for_a_custom_actuator() -> None:
@@ -218,21 +303,19 @@ def test_what_was_told_of_another_scene_is_not_shown_here() -> None:
     for scene, is_shown in ((here, True), ("Another", False)):
         STATE.last_job = LastJob(False, "It stopped.", scene=scene)
         STATE.plan = PlanView((PlanLine("needed", "a stroke", "because"),), 75.0, 48_321, scene)
-        said, planned = drawn(panel("HNF_PT_scene")), drawn(panel("HNF_PT_plan"))
-        assert said is not None
-        assert planned is not None
-        assert [text in said.words for text in ("It stopped.", "1 min 15 s")] == [is_shown] * 2
-        assert ("because" in planned.words) is is_shown
+        said, planned = tab("HNF_PT_details"), tab("HNF_PT_plan")
+        assert ("It stopped." in said.words) is is_shown
+        assert [text in planned.words for text in ("because", "1 min 15 s")] == [is_shown] * 2
 
 
 def test_a_running_job_shows_its_stage_and_the_way_out() -> None:
     fill()
     STATE.job = JobStatus("Close-ups", 3, 12, 4.0, 11.0)
-    scene = drawn(panel("HNF_PT_scene"))
-    assert scene is not None
-    assert "Close-ups: 4 of 11" in scene.words
-    assert "11 s left" in scene.words
-    assert scene.operators == ["hnf.bake_cancel"]
+    shown = drawn(panel("HNF_PT_preview"), 600)
+    assert shown is not None
+    assert "Close-ups: 4 of 11, 11 s left" in shown.words
+    assert "hnf.bake_cancel" in shown.operators
+    assert {"hnf.bake", "hnf.preview_play"}.isdisjoint(shown.operators)
 
 
 def test_the_preferences_draw_and_are_read() -> None:
@@ -240,7 +323,7 @@ def test_the_preferences_draw_and_are_read() -> None:
     declared = SimpleNamespace(properties=HnfPreferences.__annotations__)
     HnfPreferences.draw(SimpleNamespace(layout=recorder, bl_rna=declared), context_of())
     assert recorder.props == ["overlay", "default_probe", "external_python"]
-    assert "hnf.cache_clear" in recorder.operators
+    assert {"hnf.cache_clear", "hnf.diagnose_copy", "hnf.purge"} <= set(recorder.operators)
     assert "PyTorch" in recorder.words
     properties = {name: getattr(Settings(), name) for name in HnfPreferences.__annotations__}
     assert get_settings(bpy.context) == Settings(**properties)  # where Blender keeps none

@@ -65,7 +65,7 @@ def set_start_frame(stroke: Any, frame: float) -> None:
     group.start = frame
 
 
-FORCE_PATH = "hnf_stroke.force"
+FORCE_PATH, PROGRESS_PATH = "hnf_stroke.force", "hnf_stroke.progress"
 COPIED_KEY_ATTRIBUTES = (
     "interpolation",
     "easing",
@@ -149,6 +149,31 @@ def copy_force(source: Any, target: Any, scene: Any, metres_per_unit: float, *, 
     target.hnf_stroke.force = source.hnf_stroke.force
     if keys:
         _write_keys(target, _move_keys(keys, lambda frame: target_start + (frame - start) * time_scale), extrapolation)
+
+
+def make_speed_constant(stroke: Any, scene: Any, metres_per_unit: float, speed_mm_s: float) -> None:
+    """Replace a stroke's timing by one speed [mm/s]: its progress keys go, its force keys are stretched.
+
+    Raises StrokeError if a channel is driven or the stroke cannot be read.
+    """
+    for name in ("force", "progress"):
+        if read_channel(stroke, name, scene).source == "driven":
+            raise StrokeError(f"its {name} is moved by a driver or the NLA.", where=f"stroke '{stroke.name}'")
+    make_keys_single_user(stroke)
+    start = float(stroke.hnf_stroke.start)
+    length = get_motion_end(stroke, scene, metres_per_unit) - start
+    for curve in find_keyed_curves(stroke):
+        if curve.data_path == PROGRESS_PATH:
+            for frame in reversed([float(key.co[0]) for key in curve.keyframe_points]):
+                stroke.keyframe_delete(PROGRESS_PATH, frame=frame)
+            break
+    stroke.hnf_stroke.law, stroke.hnf_stroke.speed_mm_s = "SPEED", speed_mm_s
+    ratio = (get_motion_end(stroke, scene, metres_per_unit) - start) / max(length, 1e-6)
+    curve = find_force_curve(stroke)
+    if curve is not None and not curve.is_empty:
+        extrapolation, keys = curve.extrapolation, _read_keys(curve)
+        _clear_force_keys(stroke)
+        _write_keys(stroke, _move_keys(keys, lambda frame: start + (frame - start) * ratio), extrapolation)
 
 
 class _Keyframe(NamedTuple):

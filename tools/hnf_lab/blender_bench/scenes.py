@@ -276,7 +276,7 @@ def register_tab() -> Iterator[None]:
     from hnf_blender import ops, ui
     from hnf_blender.props.object_cache import CHANGES
 
-    modules = () if hasattr(bpy.types, "HNF_PT_scene") else (ops, ui)
+    modules = () if hasattr(bpy.types, "HNF_PT_preview") else (ops, ui)
     for module in modules:
         module.register()
     was_notified, CHANGES.is_notified = CHANGES.is_notified, True
