@@ -405,3 +405,20 @@ def test_the_overlay_follows_the_force_and_the_playhead():
     assert (arms[:, 0, 1, 0] > arms[:, 0, 0, 0]).all()  # and point where the hand goes
     stroke.data.splines.new("POLY").points.add(1)
     assert compute_overlay_path(stroke, bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0) is None
+
+
+def test_a_stroke_too_fast_for_a_hand_is_made_constant():
+    """Its force keys are stretched with it."""
+    from hnf_blender.bridge.stroke.read_stroke import sample_timeline
+
+    add_plane()
+    stroke = add_stroke(LINE)
+    key(stroke, "progress", (1.0, 0.0), (1.5, 1.0))
+    key(stroke, "force", (1.0, 0.5), (1.5, 2.0))
+    bpy.context.view_layer.objects.active = stroke
+    assert bpy.ops.hnf.stroke_constant(speed_mm_s=60.0) == {"FINISHED"}
+    timeline = sample_timeline(stroke, bpy.context.scene, 1.0)
+    fps = bpy.context.scene.render.fps
+    speed = np.gradient(timeline.position) / np.gradient(timeline.frames) * fps
+    assert np.median(speed) == pytest.approx(0.06, rel=0.02)
+    assert (timeline.force[0], timeline.force[-1]) == (pytest.approx(0.5), pytest.approx(2.0, abs=0.05))
