@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ, read_action_csv, write_action_csv
-from ..action.parse_stroke import parse_stroke
 from ..action.primitive_path import make_primitive_action
-from ..action.primitives import PRIMITIVES
+from ..action.primitives import PRIMITIVES, Primitive
 from ..errors import UsageError
 from ..export.wav import write_wav, write_wav_channels, write_wav_stream
 from ..field.carriers import MODEL_RATE_HZ
@@ -164,6 +163,13 @@ def write_in_chunks(
     return WrittenSignal(rate, count / rate, rms, meter.peak, confidence, warnings)
 
 
+def _read_stroke(words: str) -> Primitive:
+    """Parse --stroke. Its 200 patterns are compiled when they are asked for: a table of an action needs none."""
+    from ..action.parse_stroke import parse_stroke
+
+    return parse_stroke(words)
+
+
 _NEGATIVE_NUMBER = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|^-(inf|nan)$", re.IGNORECASE)
 """Pattern for argparse, whose own takes -1e1 for an unknown option."""
 MAX_TOLERANCE_DB, MIN_TOLERANCE_DB = -10.0, -45.0
@@ -194,7 +200,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     material.add_argument("--weights", type=Path, metavar="FILE", help="a field trained for one material")
     stroke = parser.add_mutually_exclusive_group(required=True)
     stroke.add_argument(
-        "--stroke", type=parse_stroke, metavar="WORDS",
+        "--stroke", type=_read_stroke, metavar="WORDS",
         help=f"{', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s', 'tap twice, then rub "
         "slowly in circles'",
     )  # fmt: skip

@@ -34,6 +34,18 @@ def test_no_other_package_is_looked_up_for_a_command_of_this_one(words):
     assert "importlib.metadata" not in run_process(HNF_CODE, *shlex.split(words)).modules
 
 
+def test_a_table_of_an_action_needs_no_words_for_strokes(tmp_path):
+    """Their patterns take longer to compile than a second of signal to synthesise."""
+    table = tmp_path / "press.csv"
+    table.write_text("time_s,direction_rad,speed_m_s,force_n\n0,0,0.1,1\n0.1,0,0.1,1\n", encoding="utf-8")
+    run = run_process(
+        HNF_CODE, "synth", "--material", "cork", "--action", str(table), "--out", str(tmp_path / "press.wav")
+    )
+    assert (tmp_path / "press.wav").is_file()
+    assert "hnf_core.field.synthesis" in run.modules
+    assert not {"hnf_core.action.parse_stroke", "hnf_core.action.stroke_words"} & set(run.modules)
+
+
 def test_other_packages_are_looked_up_for_what_they_may_have():
     assert "importlib.metadata" in run_process(HNF_CODE, "train", "--help").modules
 
