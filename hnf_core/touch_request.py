@@ -104,6 +104,11 @@ class TouchRequest:
         Name or file of the encoder E, which turns tactile maps into material tokens; "" for the default.
     height_as_authored : bool
         Keep the height of every relief as the scene gives it, also where no surface is known to be so high.
+    sensor : str
+        Touch sensor whose images tactile maps are, a name in `tactile.optics.SENSORS`.
+    tactile_map : str
+        Network D_φ that predicts tactile maps: a word of `tactile.diffusion.weights.SHIPPED_WEIGHTS`, or a file; "" for
+        the default.
     """
 
     scene: Path | None
@@ -117,6 +122,8 @@ class TouchRequest:
     queries: tuple[TouchQuery, ...] = ()
     encoder: str = ""
     height_as_authored: bool = False
+    sensor: str = "gelsight"
+    tactile_map: str = ""
 
     @property
     def folder(self) -> Path:

@@ -30,7 +30,7 @@ from hnf_core.material.token import BAND_FEATURES, Token, band_slice
 from hnf_core.progress import Progress, ProgressCallback, ignore_progress
 from hnf_core.scene.camera import Patch
 from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict_tactile_maps
-from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS, MapWeights, load_map_weights
+from hnf_core.tactile.diffusion.weights import MapWeights, find_map_weights, load_map_weights
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.optics import get_sensor, render_sensor_image
 from hnf_core.tactile.tactile_map import Route, TactileMap
@@ -52,7 +52,6 @@ from .patch_cache import (
 )
 from .report import Counts
 
-SENSOR = "gelsight"
 SHARPEST_WAVELENGTH_M = 2.0 * PITCHES_M[0]
 """Shortest wavelength [m] that the widest view given to D_φ can show: two of its pixels."""
 MIN_CONTRAST = 1.0 / 255.0
@@ -68,15 +67,22 @@ class ReliefPredictor:
     ----------
     encoder : str, optional
         Name or file of the encoder for all maps; "" uses the default of each route.
+    sensor : str, optional
+        Touch sensor of all maps.
+    tactile_map : str, optional
+        Word or file of D_φ (`find_map_weights`); "" uses the default.
 
     Raises
     ------
     UsageError, FileError, WeightsError, MaterialError
-        If the encoder cannot be used.
+        If the encoder, or a chosen D_φ, cannot be used.
     """
 
-    def __init__(self, encoder: str = "") -> None:
-        self._path = DEFAULT_WEIGHTS
+    def __init__(self, encoder: str = "", sensor: str = "gelsight", tactile_map: str = "") -> None:
+        self.sensor = get_sensor(sensor).name
+        self._path = find_map_weights(tactile_map)
+        if tactile_map:
+            _ = _load_weights(self._path, self.weights_hash).token_error  # raises now, not at the first picture
         chosen = get_encoder(encoder) if encoder else None
         field_encoders = read_encoders(load_field().metadata)
         self.measured_encoder: Encoder = chosen or get_default_encoder(Route.MEASURED, field_encoders)
@@ -95,7 +101,7 @@ class ReliefPredictor:
     def content_id(self) -> str:
         """Hash of everything that a prediction depends on besides the image: the weights of both networks."""
         return content_hash(
-            self.weights_hash, self.predicted_encoder.content_id, f"{SENSOR} {DEFAULT_STEPS} {MIN_CONTRAST:g}"
+            self.weights_hash, self.predicted_encoder.content_id, f"{self.sensor} {DEFAULT_STEPS} {MIN_CONTRAST:g}"
         )
 
     @property
@@ -131,7 +137,7 @@ class ReliefPredictor:
         """
         weights = _load_weights(self._path, self.weights_hash)
         with single_blas_thread():
-            predicted = predict_tactile_maps(weights, views, SENSOR, seed=range(seed, seed + len(views)))
+            predicted = predict_tactile_maps(weights, views, self.sensor, seed=range(seed, seed + len(views)))
         maps = [
             replace(tactile, resolved_wavelength_m=max(tactile.resolved_wavelength_m, unlit.resolved_wavelength_m))
             for tactile in predicted
@@ -141,7 +147,8 @@ class ReliefPredictor:
             images=np.stack([tactile.image for tactile in maps]).astype(np.float16),
             pitch_m=np.array([tactile.metres_per_pixel for tactile in maps]),
             resolved_wavelength_m=unlit.resolved_wavelength_m,
-            token=Token(token.values, token.known),
+            token=Token(token.values, token.known, weights.token_error),
+            sensor=self.sensor,
             encoder=self.predicted_encoder.name,
             weights=weights.fingerprint,
         )
@@ -152,7 +159,7 @@ def make_predicted_maps(prediction: Prediction) -> tuple[TactileMap, ...]:
     mask = np.ones(prediction.images.shape[1:3], dtype=bool)
     return tuple(
         TactileMap(
-            image.astype(np.float32), None, mask, float(pitch), SENSOR,
+            image.astype(np.float32), None, mask, float(pitch), prediction.sensor,
             max(2.0 * float(pitch), prediction.resolved_wavelength_m), Route.PREDICTED, "D_φ",
         )
         for image, pitch in zip(prediction.images, prediction.pitch_m, strict=True)
@@ -251,10 +258,10 @@ class TouchedObject:
         return slot < len(self.has_relief) and self.has_relief[slot]
 
 
-def compute_patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str:
+def compute_patch_key(touched: TouchedObject, patch: Patch, predictor: ReliefPredictor) -> str:
     """Return the cache key of a patch: a hash of geometry, shader, place, and settings of the close-up.
 
-    The add-on's version and the names in a record's notes count too. `encoder` is the content hash of the encoder of
+    The add-on's version and the names in a record's notes count too, and the `predictor`'s sensor and its encoder of
     maps measured from a shader's relief.
     """
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
@@ -263,7 +270,8 @@ def compute_patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str
     names = repr((touched.surface.materials[slot], touched.texture_names[slot]))
     return content_hash(
         names, touched.shape_hash, shader, touched.owner_hash, place.tobytes(), f"{patch.slot} {patch.size_m:.9g}",
-        f"{__version__} {PATCH_PIXELS} {FIRST_PASS_PIXELS} {SENSOR} {encoder} {PATCH_VERSION} {touched.frame}",
+        f"{__version__} {PATCH_PIXELS} {FIRST_PASS_PIXELS} {predictor.sensor} "
+        f"{predictor.measured_encoder.content_id} {PATCH_VERSION} {touched.frame}",
     )  # fmt: skip
 
 
@@ -308,7 +316,7 @@ def bake_patches(
     SceneError
         If a texture is missing.
     """
-    keys = [compute_patch_key(touched, patch, predictor.measured_encoder.content_id) for patch in patches]
+    keys = [compute_patch_key(touched, patch, predictor) for patch in patches]
     patch_by_key = dict(zip(keys, patches, strict=True))
     records = {key: record for key in patch_by_key if (record := load_patch(folder, key)) is not None}
     missing = {key: patch for key, patch in patch_by_key.items() if key not in records}
@@ -316,7 +324,7 @@ def bake_patches(
     def describe(key: str, closeup: CloseUp | None) -> None:
         patch = patch_by_key[key]
         if closeup is not None:
-            records[key] = _make_record(closeup, touched.surface, predictor.measured_encoder, counts)
+            records[key] = _make_record(closeup, touched.surface, predictor, counts)
             if not closeup.is_incomplete:  # else the missing texture would stay unnoticed
                 save_patch(folder, key, records[key])
         if patch.slot not in chosen_slots:
@@ -422,9 +430,9 @@ def get_measured_map(record: PatchRecord) -> TactileMap | None:
     """Return the tactile map computed from a patch's own height; None if neither shader nor mesh gave one."""
     if record.height is None:
         return None
-    image = render_sensor_image(record.height, record.metres_per_pixel, get_sensor(SENSOR))
+    image = render_sensor_image(record.height, record.metres_per_pixel, get_sensor(record.sensor))
     return TactileMap(
-        image, record.height, record.mask, record.metres_per_pixel, SENSOR, record.resolved_wavelength_m,
+        image, record.height, record.mask, record.metres_per_pixel, record.sensor, record.resolved_wavelength_m,
         Route.MEASURED, record.height_source,
     )  # fmt: skip
 
@@ -468,7 +476,7 @@ def get_shader_token(record: PatchRecord) -> Token | None:
     for band in np.flatnonzero(record.mesh_bands):
         known[band_slice(int(band))] = False
     known[BAND_COUNT * len(BAND_FEATURES) :] = False
-    return Token(token.values, known) if known.any() else None
+    return replace(token, known=known) if known.any() else None
 
 
 def fuse_patch(record: PatchRecord, material: Token | NDArray[np.float32], confidence: float) -> FusedToken:
@@ -516,9 +524,9 @@ def _average_known(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _make_record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: Counts) -> PatchRecord:
+def _make_record(closeup: CloseUp, surface: Surface, predictor: ReliefPredictor, counts: Counts) -> PatchRecord:
     """Make the record of a patch from its close-up; a token is encoded only if there is a height."""
-    tactile, token = None, None
+    tactile, token, encoder = None, None, predictor.measured_encoder
     if closeup.height is not None:
         try:
             tactile = tactile_map_from_height(
@@ -526,7 +534,7 @@ def _make_record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: C
                 closeup.mask,
                 closeup.metres_per_pixel,
                 closeup.resolved_wavelength_m,
-                sensor=SENSOR,
+                sensor=predictor.sensor,
                 height_source=closeup.height_source,
             )
         except SceneError as error:
@@ -551,4 +559,5 @@ def _make_record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: C
         unlit=closeup.unlit,
         encoder="" if token is None else encoder.name,
         mesh_bands=closeup.mesh_bands,
+        sensor=predictor.sensor,
     )

@@ -25,7 +25,7 @@ from ..bridge.render.unlit_image import UnlitImage
 
 PATCH_VERSION = 6
 """Version of the files of patches; part of every key."""
-PREDICTION_VERSION = 1
+PREDICTION_VERSION = 2
 """Version of the files of predictions."""
 
 PATCHES_IN_MEMORY = 8
@@ -45,7 +45,9 @@ class Prediction:
     resolved_wavelength_m : float
         Shortest wavelength of the unlit image [m].
     token : Token
-        Merged token of the maps.
+        Merged token of the maps, with its errors.
+    sensor : str
+        Touch sensor of the images.
     encoder : str
         Name of the encoder E.
     weights : str
@@ -56,6 +58,7 @@ class Prediction:
     pitch_m: NDArray[np.float64]
     resolved_wavelength_m: float
     token: Token
+    sensor: str
     encoder: str
     weights: str
 
@@ -94,6 +97,8 @@ class PatchRecord:
         Prediction from `unlit`, if wanted; stored in a file of its own.
     mesh_bands : tuple of bool
         For each wavelength band, True if the mesh gives most of the height; empty if it gives none.
+    sensor : str
+        Touch sensor of the measured map.
     """
 
     height: NDArray[np.float32] | None
@@ -111,6 +116,7 @@ class PatchRecord:
     encoder: str = ""
     predicted: Prediction | None = None
     mesh_bands: tuple[bool, ...] = ()
+    sensor: str = "gelsight"
 
     @property
     def route(self) -> Route:
@@ -160,6 +166,7 @@ def _read_patch(path: Path, _written_ns: int, _bytes: int) -> PatchRecord | None
             unlit=_unpack_unlit_image(data) if bool(data["pictured"]) else None,
             encoder=str(data["encoder"]),
             mesh_bands=tuple(bool(is_mesh) for is_mesh in data["mesh_bands"]),
+            sensor=str(data["sensor"]),
         )
 
 
@@ -189,6 +196,7 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
         "pictured": np.array(record.unlit is not None),
         "encoder": np.array(record.encoder),
         "mesh_bands": np.array(record.mesh_bands, dtype=np.bool_),
+        "sensor": np.array(record.sensor),
     }
     if record.unlit is not None:
         arrays |= {
@@ -212,7 +220,8 @@ def load_prediction(folder: Path, key: str) -> Prediction | None:
                 images=data["images"],
                 pitch_m=data["pitch_m"],
                 resolved_wavelength_m=float(data["resolved_wavelength_m"]),
-                token=Token(data["token"], data["known"]),
+                token=Token(data["token"], data["known"], data["error"]),
+                sensor=str(data["sensor"]),
                 encoder=str(data["encoder"]),
                 weights=str(data["weights"]),
             )
@@ -229,6 +238,8 @@ def save_prediction(folder: Path, key: str, prediction: Prediction) -> None:
         "resolved_wavelength_m": np.array(prediction.resolved_wavelength_m),
         "token": prediction.token.values,
         "known": prediction.token.known,
+        "error": prediction.token.error,
+        "sensor": np.array(prediction.sensor),
         "encoder": np.array(prediction.encoder),
         "weights": np.array(prediction.weights),
     }

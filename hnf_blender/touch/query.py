@@ -220,10 +220,7 @@ def query_surface(
 
 def is_baked(session: Session, touched: TouchedObject, point: SurfacePoint, cache: Path) -> bool:
     """Return True if the patch at a place is in the cache, so that nothing has to be rendered."""
-    return (
-        load_patch(cache, compute_patch_key(touched, point.patch, session.predictor.measured_encoder.content_id))
-        is not None
-    )
+    return load_patch(cache, compute_patch_key(touched, point.patch, session.predictor)) is not None
 
 
 def find_nearest_materials(fused: FusedToken, ranked: Sequence[Suggestion]) -> tuple[SimilarMaterial, ...]:

@@ -52,7 +52,7 @@ from ..bridge.shader.shader_hash import hash_material
 from ..bridge.splats.splat_cloud import get_cloud, get_cloud_source, get_reconstruction_notes, hash_cloud, is_cloud
 from ..bridge.stroke.place_primitive import choose_default_slots, place_primitive, shorten_name
 from ..bridge.stroke.read_stroke import SceneStroke, hash_path, hash_touch, list_strokes, read_stroke
-from .bake_patches import FIRST_PASS_PIXELS, PATCH_PIXELS, SENSOR, ReliefPredictor, TouchedObject
+from .bake_patches import FIRST_PASS_PIXELS, PATCH_PIXELS, ReliefPredictor, TouchedObject
 from .patch_cache import PATCH_VERSION
 from .report import Counts, Failed, Skipped
 
@@ -342,11 +342,11 @@ class Session:
             (resolve_target(scene, choice.target), _resolve_choice(choice.material)) for choice in request.choices
         ]
         library = content_hash(LIBRARY_PATH.read_bytes())
-        self.predictor = ReliefPredictor(request.encoder)
+        self.predictor = ReliefPredictor(request.encoder, request.sensor, request.tactile_map)
         self.field = load_field_for_encoders(
             (self.predictor.measured_encoder.name, self.predictor.predicted_encoder.name)
         )
-        made_by = f"{__version__} {PATCH_PIXELS} {FIRST_PASS_PIXELS} {SENSOR} {PATCH_VERSION}"
+        made_by = f"{__version__} {PATCH_PIXELS} {FIRST_PASS_PIXELS} {self.predictor.sensor} {PATCH_VERSION}"
         self._made_by = content_hash(self.field.identity, library, self.predictor.measured_encoder.content_id, made_by)
 
     @property

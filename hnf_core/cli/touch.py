@@ -65,6 +65,15 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "hnf train encoder; default: band-descriptor-1",
     )  # fmt: skip
     parser.add_argument(
+        "--sensor", choices=("gelsight", "digit"), default="gelsight",
+        help="the touch sensor that tactile maps are images of (default gelsight)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--tactile-map", default="", metavar="NETWORK",
+        help="the network that predicts tactile maps from pictures: regression (default), diffusion, or a file written "
+        "by hnf train tactile-map",
+    )  # fmt: skip
+    parser.add_argument(
         "--height-as-authored", action="store_true",
         help="keep every relief's height, also where no surface is known to be so high; else its shape gets the height "
         "of the material",
@@ -99,6 +108,8 @@ def make_touch_request(arguments: argparse.Namespace) -> TouchRequest:
         queries=tuple(arguments.queries),
         encoder=arguments.encoder,
         height_as_authored=arguments.height_as_authored,
+        sensor=arguments.sensor,
+        tactile_map=arguments.tactile_map,
     )
     if not request.plan_only:
         request.folder  # raises before Blender starts if it is invalid  # noqa: B018

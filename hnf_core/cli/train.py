@@ -17,6 +17,7 @@ from ..errors import UsageError
 from ..field.weights import save_field
 from ..progress import Progress, ProgressBar
 from ..tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
+from ..tactile.diffusion.weights import find_map_weights, refuse_package_data
 from .commands import (
     HELP,
     LABORATORY_SUBJECTS,
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from ..training.train_material import TrainingResult
 
 SIMULATED_PAIRS = "simulated"
+RECORDED_KINDS = ("tarf", "touch-and-go", "billets")
+"""Recorded data sets of pairs, the keys of `datasets.recorded_pairs.LICENCES`."""
 DEFAULT_MINUTES = 60.0
 DEFAULT_SECONDS, PUBLISHED_SECONDS = 480.0, 20.0
 """Strokes that are synthesised from a model [s]; the published form's fill its C = 200 windows of 0.1 s."""
@@ -46,10 +49,19 @@ def _add_tactile_map(subjects: Any) -> argparse.ArgumentParser:
         "resumes where it was when the same command is given again. Needs the extra [train].",
     )
     parser.add_argument(
-        "--data", required=True, metavar="DIR",
-        help="folder of pairs (tools/make_tactile_pairs.py), or simulated: they are made first, beside FILE",
+        "--data", nargs="+", required=True, metavar=("KIND", "DIR"),
+        help="tarf, touch-and-go or billets and the folder of the data set; or a folder of pairs alone "
+        "(tools/make_tactile_pairs.py); or simulated: they are made first, beside FILE",
     )  # fmt: skip
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="weights to write (.safetensors)")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE",
+        help="weights to write (.safetensors), for hnf touch --tactile-map FILE",
+    )  # fmt: skip
+    parser.add_argument(
+        "--start", metavar="NETWORK",
+        help="weights to go on from: regression, diffusion or a file (default with KIND: the shipped ones of the "
+        "objective; else none)",
+    )  # fmt: skip
     parser.add_argument(
         "--minutes", type=float, default=DEFAULT_MINUTES, metavar="M", help=f"to train (default {DEFAULT_MINUTES:g})"
     )
@@ -69,6 +81,7 @@ def _run_tactile_map(arguments: argparse.Namespace) -> int:
     check_seed_and_weights(arguments)
     if not arguments.minutes > 0.0:
         raise UsageError("--minutes must be more than 0.")
+    refuse_package_data(arguments.out)
     checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
     if arguments.fresh:
         checkpoint.unlink(missing_ok=True)
@@ -82,7 +95,7 @@ def _run_tactile_map(arguments: argparse.Namespace) -> int:
 
 def _train_tactile_map(arguments: argparse.Namespace, checkpoint: Path) -> dict[str, Any]:
     with require_torch("training"):
-        from ..training.tactile_map.train_map import LEARNING_RATES, MapTrainingPlan, train_map
+        from ..training.tactile_map.train_map import LEARNING_RATES, MapTrainingPlan, train_map, train_on_pairs
 
     bar = ProgressBar()
 
@@ -92,17 +105,36 @@ def _train_tactile_map(arguments: argparse.Namespace, checkpoint: Path) -> dict[
             print(f"hnf: {step} steps, {name}: {distance.describe()}", file=sys.stderr)
 
     try:
-        folder = _find_pairs(arguments, bar)
         plan = MapTrainingPlan(minutes=arguments.minutes, seed=arguments.seed, rate=LEARNING_RATES[arguments.objective])
         config = MapConfig(objective=arguments.objective)
-        return train_map(folder, plan, config, arguments.out, checkpoint, watch)
+        if arguments.data[0] not in RECORDED_KINDS:
+            folder = _find_pairs(arguments, bar)
+            start = None if arguments.start is None else find_map_weights(arguments.start)
+            return train_map(folder, plan, config, arguments.out, checkpoint, watch, start=start)
+        from ..datasets.recorded_pairs import LICENCES, load_recorded_pairs
+
+        kind, folder = arguments.data[0], Path(arguments.data[-1])
+        if len(arguments.data) != 2:
+            raise UsageError(f"--data takes {kind} and its folder, not {arguments.data}.", remedy=f"--data {kind} DIR")
+        train, held_out, notes = load_recorded_pairs(kind, folder, arguments.seed)
+        for note in notes:
+            print(f"hnf: {note}.", file=sys.stderr)
+        data = f"{len(train)} views of {train.tiles} recorded places ({kind})"
+        start = find_map_weights(arguments.start or arguments.objective)
+        return train_on_pairs(
+            train, {"held out": held_out}, plan, config, arguments.out, checkpoint, watch,
+            data=data, licence=LICENCES[kind], start=start,
+        )  # fmt: skip
     finally:
         bar.close()
 
 
 def _find_pairs(arguments: argparse.Namespace, bar: ProgressBar) -> Path:
-    if arguments.data != SIMULATED_PAIRS:
-        return Path(arguments.data)
+    if len(arguments.data) != 1:
+        kinds = ", ".join(RECORDED_KINDS)
+        raise UsageError(f"{arguments.data[0]!r} is no data set of pairs.", remedy=f"Known are {kinds}.")
+    if arguments.data[0] != SIMULATED_PAIRS:
+        return Path(arguments.data[0])
     from ..datasets.pair_generation import PairSizes, write_pairs
 
     folder = arguments.out.with_name(f"{arguments.out.stem}-pairs")

@@ -7,6 +7,7 @@ files, the shards.
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -110,6 +111,83 @@ def decode_rgb(encoded: NDArray[np.uint8]) -> NDArray[np.float32]:
 def encode_rgb(linear: NDArray[Any]) -> NDArray[np.uint8]:
     """Encode linear colour, clipped to 0 to 1, as `Pairs.rgb`."""
     return np.asarray(np.rint(255.0 * np.sqrt(np.clip(linear, 0.0, 1.0))), dtype=np.uint8)
+
+
+PHOTOGRAPH_CHANCE = 0.8
+"""Probability that a picture varies in any one of the ways of `vary_photograph`."""
+LARGEST_ZOOM = 2.0**0.5
+"""Largest factor by which a photograph's scale is misjudged, either way."""
+JPEG_QUALITY = (25, 95)
+"""Range of the quality of JPEG."""
+
+
+def vary_photograph(views: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return views (n, h, w, 3) of one picture, encoded as `Pairs.rgb`, as another camera may have taken and kept it.
+
+    Drawn once for all views, each with `PHOTOGRAPH_CHANCE`: a scale misjudged by up to `LARGEST_ZOOM`, exposure and
+    white balance, saturation, tone curve, light that falls off to one side, blur, and JPEG. Not the touch: whatever
+    varies here tells nothing of it.
+    """
+    layers = views.astype(np.float32) / np.float32(255.0)
+    draws = iter(rng.random(7) < PHOTOGRAPH_CHANCE)
+    if next(draws):
+        layers = _zoom(layers, float(LARGEST_ZOOM ** rng.uniform(-1.0, 1.0)))
+    if next(draws):  # Encoded colours are square roots, so the factors are too.
+        layers = layers * np.exp(rng.uniform(-0.3, 0.15) + rng.uniform(-0.12, 0.12, 3)).astype(np.float32)
+    if next(draws):
+        grey = layers.mean(axis=-1, keepdims=True)
+        layers = grey + np.float32(rng.uniform(0.3, 1.5)) * (layers - grey)
+    if next(draws):
+        layers = np.clip(layers, 0.0, 1.0) ** np.float32(np.exp(rng.uniform(-0.4, 0.4)))
+    if next(draws):
+        size = layers.shape[1:3]
+        slope, angle = rng.uniform(0.0, 0.5), rng.uniform(0.0, 2.0 * np.pi)
+        y, x = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in size), indexing="ij")
+        layers = layers * np.exp(slope * (np.cos(angle) * x + np.sin(angle) * y) / 2.0).astype(np.float32)[..., None]
+    if next(draws):
+        layers = _blur(layers, float(rng.uniform(0.2, 1.2)))
+    encoded = np.rint(255.0 * np.clip(layers, 0.0, 1.0)).astype(np.uint8)
+    if next(draws):
+        quality = int(rng.integers(*JPEG_QUALITY))
+        encoded = np.stack([_pass_through_jpeg(view, quality) for view in encoded])
+    return encoded
+
+
+def _zoom(layers: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
+    """Enlarge images (n, h, w, c) about their centre by a factor; what is missing at their edges is mirrored."""
+    for axis in (1, 2):
+        size = layers.shape[axis]
+        position = (np.arange(size) - (size - 1) / 2.0) / factor + (size - 1) / 2.0
+        low = np.floor(position).astype(int)
+        share = (position - low).astype(np.float32).reshape((-1,) + (1,) * (3 - axis))
+        first, second = (np.take(layers, _mirror(index, size), axis=axis) for index in (low, low + 1))
+        layers = (1.0 - share) * first + share * second
+    return np.asarray(layers, dtype=np.float32)
+
+
+def _mirror(index: NDArray[np.intp], size: int) -> NDArray[np.intp]:
+    folded = np.abs(index) % (2 * size - 2)
+    return np.minimum(folded, 2 * size - 2 - folded)
+
+
+def _blur(layers: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Blur images (n, h, w, c) by a Gaussian of `sigma` pixels."""
+    kernels = []
+    for size in layers.shape[1:3]:
+        index = np.arange(size)
+        kernel = np.exp(-0.5 * np.square((index[:, None] - index[None, :]) / sigma))
+        kernels.append((kernel / kernel.sum(axis=1, keepdims=True)).astype(np.float32))
+    return np.einsum("ij,njkc,lk->nilc", kernels[0], layers, kernels[1], optimize=True)
+
+
+def _pass_through_jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    try:
+        import PIL.Image
+    except ImportError as error:
+        raise FileError(f"JPEG needs Pillow ({error}).", remedy="Install it.") from error
+    buffer = io.BytesIO()
+    PIL.Image.fromarray(image).save(buffer, "JPEG", quality=quality)
+    return np.asarray(PIL.Image.open(buffer))
 
 
 def concatenate_pairs(chunks: list[Pairs]) -> Pairs:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import groupby
 
 import numpy as np
@@ -16,17 +17,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MaterialError
 from ..tactile.tactile_map import Route
+from .library import load_library
 from .token import BAND_FEATURES, BAND_WAVELENGTHS_M, LEVELS, SHAPE_FEATURES, SMOOTH_LEVEL, TOKEN_DIM, Token, band_slice
 
+Float = NDArray[np.float64]
+
 BAND_COUNT = len(BAND_WAVELENGTHS_M)
+SHAPE_SLICE = slice(-len(SHAPE_FEATURES), None)
 SIGNIFICANT_DECADES = 2.5
 """Range below the strongest band within which a band is used [decades of height]: from 50 dB below on, filters and
 windows leak."""
 EMPTY_LEVEL = SMOOTH_LEVEL + 0.3
 """Level of a wavelength band without content, 2 nm RMS [log10 m]: just above the descriptor's floor."""
 ROUTE_CONFIDENCE = {Route.MEASURED: 1.0, Route.PREDICTED: 0.5}
-"""Confidence of a band by the origin of its map: an estimate from an image has less than a measured relief, since one
-image fits many reliefs (docs/tactile-maps-evaluation.md has the errors)."""
+"""Confidence of a band by the origin of its map. That of a predicted one is for touch images without a
+calibration; where a token has errors, as those of D_φ, they say it (`read_prediction`)."""
+WITHIN_CLASS_SPREAD = {
+    "level": 0.105, "two_fold": 0.104, "four_fold": 0.096, "peak": 0.114, "offset": 0.189, "skewness": 0.205,
+    "log_kurtosis": 0.072,
+}  # fmt: skip
+"""Standard deviations of token features between generated instances of one material, in the features' units (measured
+by tools/hnf_lab/experiments/suggestions.py)."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +54,7 @@ class FusedToken:
         Origin of skewness and kurtosis.
     confidence : float
         Mean over the bands, 0 to 1: `ROUTE_CONFIDENCE` for bands of the map, the prior's confidence for those of the
-        prior.
+        prior; where errors are known, the share of the variance that is explained, in proportion to the blend.
     """
 
     values: NDArray[np.float32]
@@ -68,7 +79,7 @@ def fuse(
     route : Route
         Origin of the map. Of a measured one, significant bands are used (`find_significant_bands`) and replace the
         prior. Of a predicted one, all known bands are used, since an empty band means that the surface is smooth, and
-        are blended with the prior (`get_map_weight`).
+        are blended with the prior by their errors (`compute_map_weights`); a band that tells nothing is the prior's.
 
     Returns
     -------
@@ -84,29 +95,40 @@ def fuse(
     if library.shape != (TOKEN_DIM,) or not np.isfinite(library).all():
         raise MaterialError(f"a library token must hold {TOKEN_DIM} finite values, not {library.shape}.")
     bands = [False] * BAND_COUNT
-    if measured is not None:
-        bands = find_significant_bands(measured) if route is Route.MEASURED else find_known_bands(measured)
-    shape_known = measured is not None and bool(measured.known[-len(SHAPE_FEATURES) :].all()) and any(bands)
     confidence = float(np.clip(prior_confidence, 0.0, 1.0))
-    values = library.copy()
+    values, told, weight = library.copy(), library, np.zeros(TOKEN_DIM)
     if measured is not None:
-        weight = get_map_weight(route, confidence)
-        for band in range(BAND_COUNT):
-            if bands[band]:
-                features = band_slice(band)
-                # An empty band is at the floor, and the mean of a level and the floor in decades is no estimate.
-                is_empty = measured.values[features.start] <= EMPTY_LEVEL
-                values[features] = _blend(measured.values[features], values[features], 1.0 if is_empty else weight)
-        if shape_known:
-            features = slice(-len(SHAPE_FEATURES), None)
-            values[features] = _blend(measured.values[features], values[features], weight)
+        told, weight = compute_map_weights(measured, route, confidence)
+        found = find_significant_bands(measured) if route is Route.MEASURED else find_known_bands(measured)
+        bands = [is_found and weight[band_slice(band).start] > 0.0 for band, is_found in enumerate(found)]
+    shape_known = measured is not None and bool(measured.known[-len(SHAPE_FEATURES) :].all()) and any(bands)
+    for band in np.flatnonzero(bands):
+        features = band_slice(int(band))
+        # An empty band is at the floor, and the mean of a level and the floor in decades is no estimate.
+        is_empty = measured is not None and measured.values[features.start] <= EMPTY_LEVEL
+        values[features] = (
+            measured.values[features] if is_empty and measured is not None
+            else _blend(told[features], library[features], weight[features])
+        )  # fmt: skip
+    if shape_known:
+        values[SHAPE_SLICE] = _blend(told[SHAPE_SLICE], library[SHAPE_SLICE], weight[SHAPE_SLICE])
     return FusedToken(
         values=values,
         routes=tuple(route if is_known else Route.PRIOR for is_known in bands),
         shape_route=route if shape_known else Route.PRIOR,
-        confidence=(sum(bands) * ROUTE_CONFIDENCE.get(route, confidence) + (BAND_COUNT - sum(bands)) * confidence)
-        / BAND_COUNT,
+        confidence=float(np.mean(_compute_band_confidence(measured, bands, weight, route, confidence))),
     )
+
+
+def _compute_band_confidence(
+    token: Token | None, bands: Sequence[bool], weight: Float, route: Route, prior_confidence: float
+) -> Float:
+    """Return the confidence of each band (BAND_COUNT,) of a fused token."""
+    own: Float | float = ROUTE_CONFIDENCE.get(route, prior_confidence)
+    if token is not None and token.error is not None:
+        share, level_weight = compute_explained_share(token)[LEVELS], weight[LEVELS]
+        own = (1.0 - level_weight) * prior_confidence + level_weight * share
+    return np.where(bands, own, prior_confidence)
 
 
 def fuse_measured_over_predicted(
@@ -124,24 +146,99 @@ def fuse_measured_over_predicted(
         for route, other in zip(complete.routes, estimate.routes, strict=True)
     )
     shape_route = complete.shape_route if complete.shape_route is Route.MEASURED else estimate.shape_route
-    confidence = float(np.clip(prior_confidence, 0.0, 1.0))
-    mean = sum(ROUTE_CONFIDENCE.get(route, confidence) for route in routes) / BAND_COUNT
-    return FusedToken(complete.values, routes, shape_route, mean)
+    is_measured = np.array([route is Route.MEASURED for route in complete.routes])
+    # Bands that are not measured have the estimate's mean confidence.
+    confidence = float(np.mean(np.where(is_measured, ROUTE_CONFIDENCE[Route.MEASURED], estimate.confidence)))
+    return FusedToken(complete.values, routes, shape_route, confidence)
 
 
-def _blend(measured: NDArray[np.float32], prior: NDArray[np.float32], weight: float) -> NDArray[np.float32]:
-    return np.asarray(measured * np.float32(weight) + prior * np.float32(1.0 - weight))
+def _blend(measured: NDArray[np.float32], prior: NDArray[np.float32], weight: Float) -> NDArray[np.float32]:
+    share = weight.astype(np.float32)
+    return np.asarray(measured * share + prior * (np.float32(1.0) - share))
 
 
-def get_map_weight(route: Route, prior_confidence: float) -> float:
-    """Return the weight of the tactile map's value in a blended band, 0 to 1; the library prior has the rest.
+def compute_map_weights(token: Token, route: Route, prior_confidence: float) -> tuple[NDArray[np.float32], Float]:
+    """Return what a tactile map's token says, and the weight of each value beside the library prior's.
 
-    A measured relief replaces the prior. The errors of a prediction and of a prior are independent, so each is weighted
-    by its confidence: on unseen classes both together are closer than either alone (docs/tactile-maps-evaluation.md).
+    Parameters
+    ----------
+    token : Token
+        Token of the map.
+    route : Route
+        Origin of the map. A measured relief replaces the prior.
+    prior_confidence : float
+        Probability that the prior is the right material, 0 to 1.
+
+    Returns
+    -------
+    values : ndarray of float32, shape (TOKEN_DIM,)
+        The values to blend (`read_prediction` for a predicted token with errors, else the token's own).
+    weight : ndarray, shape (TOKEN_DIM,)
+        Their weights, 0 to 1; the prior has the rest.
+
+    Notes
+    -----
+    Two estimates with independent errors are weighted by the inverse of their variances. The prior's is that of the
+    library if it is not the right material, and that of pieces of one material if it is. Without errors, weights are
+    those of the confidences.
     """
     if route is not Route.PREDICTED:
-        return 1.0
-    return ROUTE_CONFIDENCE[route] / (ROUTE_CONFIDENCE[route] + prior_confidence)
+        return token.values, np.ones(TOKEN_DIM)
+    if token.error is None:
+        share = ROUTE_CONFIDENCE[route] / (ROUTE_CONFIDENCE[route] + prior_confidence)
+        return token.values, np.full(TOKEN_DIM, share)
+    values, variance = read_prediction(token)
+    _, between = compute_library_spread()
+    within = np.minimum(_get_within_class_variance(), between)
+    prior = prior_confidence * within + (1.0 - prior_confidence) * between
+    return values, prior / (prior + variance)
+
+
+def read_prediction(token: Token) -> tuple[NDArray[np.float32], Float]:
+    """Return what a predicted token (with errors) says by itself, and the variance of that (TOKEN_DIM,).
+
+    Notes
+    -----
+    A network trained by least squares answers with the mean of what suits the look, which lies between what it sees and
+    the mean of all surfaces. With the share R² = 1 − error² / variance of all surfaces explained, what it sees alone is
+    mean + (value − mean) / R², with variance error² / R²; blended with a prior that knows nothing more than the library
+    it gives the value back. Where R² ≤ 0 the look tells nothing: the variance is inf.
+    """
+    assert token.error is not None
+    mean, _ = compute_library_spread()
+    share = compute_explained_share(token)
+    telling = share > 0.0
+    safe = np.where(telling, share, 1.0)
+    values = np.where(telling, mean + (token.values - mean) / safe, mean)
+    return values.astype(np.float32), np.where(telling, np.square(token.error) / safe, np.inf)
+
+
+def compute_explained_share(token: Token) -> Float:
+    """Return R² (TOKEN_DIM,), the share of the library's variance that a predicted token explains, 0 for none."""
+    assert token.error is not None
+    _, between = compute_library_spread()
+    return np.asarray(np.clip(1.0 - np.square(token.error, dtype=np.float64) / between, 0.0, 1.0))
+
+
+@lru_cache(maxsize=1)
+def compute_library_spread() -> tuple[Float, Float]:
+    """Return mean and variance (TOKEN_DIM,) of the library's tokens, turned any way."""
+    tokens = np.stack([material.token for material in load_library()]).astype(np.float64)
+    mean, variance = tokens.mean(axis=0), tokens.var(axis=0)
+    for band in range(BAND_COUNT):
+        for first in (1, 3):  # cos and sin of two-fold, then of four-fold anisotropy
+            pair = slice(band_slice(band).start + first, band_slice(band).start + first + 2)
+            mean[pair], variance[pair] = 0.0, np.square(tokens[:, pair]).mean()
+    return mean, variance
+
+
+@lru_cache(maxsize=1)
+def _get_within_class_variance() -> Float:
+    """Return the variance (TOKEN_DIM,) of token features between pieces of one material, from WITHIN_CLASS_SPREAD."""
+    spread = WITHIN_CLASS_SPREAD
+    two, four = (spread[name] / np.sqrt(2.0) for name in ("two_fold", "four_fold"))
+    band = [spread["level"], two, two, four, four, spread["peak"], spread["offset"]]
+    return np.square([*band * BAND_COUNT, *(spread[name] for name in SHAPE_FEATURES)])
 
 
 def find_known_bands(token: Token) -> list[bool]:
@@ -197,11 +294,6 @@ def routes_by_band(routes: Sequence[Route], mesh_bands: Sequence[bool] = ()) -> 
     }
 
 
-Float = NDArray[np.float64]
-
-SHAPE_SLICE = slice(-len(SHAPE_FEATURES), None)
-
-
 def merge_tokens(tokens: Sequence[Token], weights: Sequence[float] | None = None) -> Token:
     """Merge tokens of several views of a patch, each wavelength band over the views that know it.
 
@@ -236,8 +328,10 @@ def merge_tokens(tokens: Sequence[Token], weights: Sequence[float] | None = None
         raise MaterialError(f"{len(tokens)} tokens need as many positive weights, not {list(areas.ravel())}.")
     values = np.stack([_validate_values(token.values) for token in tokens])
     known = np.stack([np.asarray(token.known, dtype=bool) for token in tokens])
+    # Errors of one network on one surface are shared by its views, so averaging does not lessen them.
+    error = tokens[0].error
     if len(tokens) == 1:
-        return Token(values[0].astype(np.float32), known[0])
+        return Token(values[0].astype(np.float32), known[0], error)
     power = 10.0 ** (2.0 * values[:, LEVELS])
     level_known = known[:, LEVELS]
     total_power = (power * level_known).sum(axis=1)
@@ -256,7 +350,7 @@ def merge_tokens(tokens: Sequence[Token], weights: Sequence[float] | None = None
     merged[LEVELS] = 0.5 * np.log10(np.where(known_any[LEVELS], merged[LEVELS], 1.0))
     floor = np.zeros(TOKEN_DIM)
     floor[LEVELS] = SMOOTH_LEVEL
-    return Token(np.where(known_any, merged, floor).astype(np.float32), known_any)
+    return Token(np.where(known_any, merged, floor).astype(np.float32), known_any, error)
 
 
 def _weighted_mean(values: Float, weight: Float, known: NDArray[np.bool_]) -> Float:

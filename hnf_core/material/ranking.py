@@ -7,9 +7,9 @@ telling name. Shading values: truncated normals around the library's typical val
 
 Relief: the likelihood of a tactile map's token (feature vector) under each material against that under any relief. Only
 features that do not change when the surface is turned are compared: level, strength of two- and four-fold anisotropy,
-peak and offset of every band, skewness and kurtosis. They scatter by `WITHIN_CLASS_SPREAD` (measured on generated
-instances by tools/hnf_lab/experiments/suggestions.py), all levels together by `RELIEF_SCALE_DECADES`, since artists
-choose a relief's height freely.
+peak and offset of every band, skewness and kurtosis. They scatter by `WITHIN_CLASS_SPREAD`, and predicted ones by their
+errors too, all levels together by `RELIEF_SCALE_DECADES`, since artists choose a relief's height freely. What a
+prediction does not explain of the library's variance is no evidence.
 
 The confidence of a suggestion is its expected aptness: 1 for the right material, `SAME_CATEGORY_APTNESS` for another
 one of its category. Mechanics, which no image shows, are estimated as a mean over the ranked materials with its spread.
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from ..errors import MaterialError
 from ..tactile.tactile_map import Route
 from .contact_model import MECHANICS_NAMES, Mechanics
-from .fuse import BAND_COUNT, find_known_bands, find_significant_bands
+from .fuse import BAND_COUNT, WITHIN_CLASS_SPREAD, find_known_bands, find_significant_bands, read_prediction
 from .library import Appearance, LibraryMaterial, get_material, load_library
 from .name_matching import match_names
 from .token import BAND_FEATURES, SHAPE_FEATURES, TOKEN_DIM, Token
@@ -37,15 +37,11 @@ from .token import BAND_FEATURES, SHAPE_FEATURES, TOKEN_DIM, Token
 Float = NDArray[np.float64]
 
 INVARIANT_KINDS = ("level", "two_fold", "four_fold", "peak", "offset")
-WITHIN_CLASS_SPREAD = {
-    "level": 0.105, "two_fold": 0.104, "four_fold": 0.096, "peak": 0.114, "offset": 0.189, "skewness": 0.205,
-    "log_kurtosis": 0.072,
-}  # fmt: skip
-"""Standard deviations of token features between generated instances of one material, in the features' units."""
 RELIEF_SCALE_DECADES = 0.3
 """Standard deviation of an artist's relief height relative to the real one [decades]; a factor of 2."""
-ROUTE_SPREAD_FACTORS = {Route.MEASURED: 1.0, Route.PREDICTED: 2.0}
-"""Factor of that spread by the origin of the map: a predicted token is less accurate. Chosen by judgement."""
+UNCALIBRATED_SPREAD_FACTOR = 2.0
+"""Factor of that spread for a predicted token whose errors are unknown, as that of a touch image without a calibration.
+Chosen by judgement."""
 RELIEF_DOUBT = 0.1
 """Probability that a relief is not the material's own: dents, letters, a bump for looks. Generated instances fit best
 with the least value tried (0.05), but artists choose freely."""
@@ -56,12 +52,13 @@ instances never borrow."""
 RELIEF_ODDS_STEP = 0.01
 """Step of the log odds of a relief: two patches of one surface differ in digits that tell nothing, and should feel like
 one material."""
-ROUTE_TEMPER = {Route.MEASURED: 1.0, Route.PREDICTED: 0.05}
-"""Factor on the log odds of a relief by the origin of its map: a predicted one comes from the picture, and pictures of
-real surfaces are not those that the prediction was trained on (docs/evaluation.md)."""
 RELIEF_TEMPER = 0.15
 """Exponent of the likelihood, since the 37 features of a token are correlated: of ten values from 0 to 1, the one that
 makes the right class of generated instances likeliest."""
+PREDICTED_TEMPER = 0.1
+"""The same for tokens that D_φ predicts, whose errors are counted: of ten values from 0 to 1, the one that makes the
+right class likeliest on rendered looks of classes that D_φ never met, varied as photographs are (docs/tactile-maps.md).
+"""
 
 
 def relief_log_odds(library: Sequence[LibraryMaterial], token: Token | None, route: Route = Route.MEASURED) -> Float:
@@ -95,10 +92,19 @@ def relief_log_odds(library: Sequence[LibraryMaterial], token: Token | None, rou
     if not bands.any():
         return zero
     shape_known = bool(token.known[-len(SHAPE_FEATURES) :].all())
-    observed = compute_invariants(token.values[None])[0]
+    values, variance = token.values, np.zeros(TOKEN_DIM)
+    if route is Route.PREDICTED and token.error is not None:
+        values, variance = read_prediction(token)
+    observed = compute_invariants(values[None])[0]
     expected = compute_invariants(np.stack([material.token for material in library]))
     chosen = np.concatenate([np.tile(bands, len(INVARIANT_KINDS)), np.full(len(SHAPE_FEATURES), shape_known)])
-    within = _get_within_class_spread() * ROUTE_SPREAD_FACTORS[route]
+    within = _get_within_class_spread()
+    if route is Route.PREDICTED and token.error is None:
+        within = UNCALIBRATED_SPREAD_FACTOR * within
+    within = np.hypot(within, np.sqrt(_pick_invariants(variance)))
+    chosen &= np.isfinite(within)
+    if not chosen.any():
+        return zero
     spread = np.sqrt(expected.var(axis=0) + within**2)
     is_level = chosen & (np.arange(len(chosen)) < BAND_COUNT)
     is_other = chosen & ~is_level
@@ -106,8 +112,9 @@ def relief_log_odds(library: Sequence[LibraryMaterial], token: Token | None, rou
     log_any = _log_level_density((observed - expected.mean(axis=0))[None, is_level], spread[is_level])
     log_material = log_material + _log_normal_density(observed[is_other] - expected[:, is_other], within[is_other])
     log_any = log_any + _log_normal_density((observed - expected.mean(axis=0))[None, is_other], spread[is_other])
-    ratio = np.exp(np.minimum(RELIEF_TEMPER * (log_material - log_any), 300.0))
-    odds = ROUTE_TEMPER[route] * np.asarray(
+    temper = RELIEF_TEMPER if token.error is None else PREDICTED_TEMPER
+    ratio = np.exp(np.minimum(temper * (log_material - log_any), 300.0))
+    odds = np.asarray(
         np.log((1.0 - RELIEF_DOUBT) * ratio + RELIEF_DOUBT)
         - np.log(1.0 - BORROWED_RELIEF_SHARE + BORROWED_RELIEF_SHARE * ratio)
     )
@@ -144,6 +151,13 @@ def _get_within_class_spread() -> Float:
             [WITHIN_CLASS_SPREAD[name] for name in SHAPE_FEATURES],
         ]
     )
+
+
+def _pick_invariants(values: Float) -> Float:
+    """Return the values (TOKEN_DIM,) that belong to the features of `compute_invariants`, cosines for strengths."""
+    bands = values[: BAND_COUNT * len(BAND_FEATURES)].reshape(BAND_COUNT, len(BAND_FEATURES))
+    names = ("level", "cos2", "cos4", "peak", "offset")
+    return np.concatenate([*(bands[:, BAND_FEATURES.index(name)] for name in names), values[-len(SHAPE_FEATURES) :]])
 
 
 def _log_normal_density(residual: Float, spread: Float) -> Float:

@@ -57,10 +57,13 @@ class Token:
     known : ndarray of bool, shape (TOKEN_DIM,)
         False where the tactile map resolved nothing; the values there are those of a smooth surface, to be replaced by
         a library material's.
+    error : ndarray of float32, shape (TOKEN_DIM,), or None
+        Standard errors of the values, if they are predicted and it is known how well; None otherwise.
     """
 
     values: NDArray[np.float32]
     known: NDArray[np.bool_]
+    error: NDArray[np.float32] | None = None
 
 
 LEVELS = slice(0, len(BAND_WAVELENGTHS_M) * len(BAND_FEATURES), len(BAND_FEATURES))

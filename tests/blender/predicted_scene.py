@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +16,9 @@ from hnf_blender.touch import bake_patches
 from hnf_blender.touch.report import Report
 from hnf_blender.touch.session import StrokeJob, gather_jobs, make_scene_session
 from hnf_blender.touch.synthesise import BakedStroke, bake_strokes
+from hnf_core.material.token import TOKEN_DIM
 from hnf_core.tactile.diffusion.unet import MapConfig
-from hnf_core.tactile.diffusion.weights import save_map_weights
+from hnf_core.tactile.diffusion.weights import TOKEN_ERROR, save_map_weights
 
 TEXEL = 0.1e-3
 PHOTO_PLATE = "Board"
@@ -62,12 +64,13 @@ def small_weights(path: Path, seed: int = 0, level: float = -1.5) -> Path:
         name: (random.standard_normal(shape) / np.sqrt(max(np.prod(shape[1:]), 1.0)) * 0.5).astype(np.float32)
         for name, shape in config.shapes().items()
     }
-    save_map_weights(path, config, parameters, {"note": "chance weights, for tests"})
+    note = {"note": "chance weights, for tests", TOKEN_ERROR: json.dumps([0.05] * TOKEN_DIM)}
+    save_map_weights(path, config, parameters, note)
     return path
 
 
 def use_weights(monkeypatch, path: Path) -> None:
-    monkeypatch.setattr(bake_patches, "DEFAULT_WEIGHTS", path)
+    monkeypatch.setattr(bake_patches, "find_map_weights", lambda _: path)
 
 
 @dataclass(frozen=True)

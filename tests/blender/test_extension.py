@@ -131,7 +131,7 @@ def test_the_zip_holds_only_code_data_licence_and_wheels(archive: Path) -> None:
     assert any(path.suffix == ".toml" for path in paths)
     assert data >= build_extension.OMITTED_FILES
     assert data & names == data - build_extension.OMITTED_FILES
-    assert archive.stat().st_size < 46 * MEGABYTE
+    assert archive.stat().st_size < 51 * MEGABYTE  # 5 MB of them the diffusion
 
 
 def test_no_route_needs_what_the_zip_leaves_out() -> None:

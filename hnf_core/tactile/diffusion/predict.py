@@ -139,7 +139,7 @@ def predict_tactile_maps(
             )
         )
     return tuple(
-        _build_tactile_map(slopes, view.pitch_m, sensor) for slopes, view in zip(predictions, views, strict=True)
+        make_tactile_map(slopes, view.pitch_m, sensor) for slopes, view in zip(predictions, views, strict=True)
     )
 
 
@@ -191,7 +191,8 @@ def predict_slopes(
     return np.asarray(slopes * (10.0 ** (config.level_mean + config.level_scale * float(level[0])) / rms), np.float32)
 
 
-def _build_tactile_map(slopes: Array, pitch_m: float, sensor: str) -> TactileMap:
+def make_tactile_map(slopes: Array, pitch_m: float, sensor: str) -> TactileMap:
+    """Make the tactile map of a membrane's slopes (2, H, W), with its height."""
     optics = get_sensor(sensor)
     gx, gy = limit_slope(slopes[0].astype(np.float64), slopes[1].astype(np.float64), optics.max_slope)
     height = integrate_gradients(gx, gy, pitch_m).astype(np.float32)

@@ -12,14 +12,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import WeightsError
+from ...errors import UsageError, WeightsError
 from ...files import write_bytes
 from ...safetensors_io import WeightsKind, dump_tensors, read_weights
 from ..optics import SENSORS
 from .unet import DIFFUSION, HEADS, REGRESSION, MapConfig, UNet, build_unet
 
-DEFAULT_WEIGHTS = Path(__file__).parents[2] / "data" / "tactile-map.safetensors"
+DATA_FOLDER = Path(__file__).parents[2] / "data"
+DEFAULT_WEIGHTS = DATA_FOLDER / "tactile-map.safetensors"
+SHIPPED_WEIGHTS = {REGRESSION: DEFAULT_WEIGHTS, DIFFUSION: DATA_FOLDER / "tactile-map-diffusion.safetensors"}
+"""Shipped weights by the word that chooses them."""
 FORMAT = "hnf-tactile-map-1"
+TOKEN_ERROR = "token_error"
+"""Name of the errors of predicted tokens in the header of weights."""
 _MAP_KIND = WeightsKind(
     "weights",
     FORMAT,
@@ -50,6 +55,47 @@ class MapWeights:
     def config(self) -> MapConfig:
         """Architecture of the network."""
         return self.network.config
+
+    @property
+    def token_error(self) -> NDArray[np.float32]:
+        """Standard errors (n,) of predicted tokens, as measured on materials that the network never met.
+
+        Raises WeightsError if the weights do not say them.
+        """
+        try:
+            error = np.array(json.loads(self.metadata[TOKEN_ERROR]), dtype=np.float32)
+            if error.ndim != 1 or not (np.isfinite(error) & (error > 0.0)).all():
+                raise ValueError(f"{error.shape} values")
+        except (KeyError, TypeError, ValueError) as cause:
+            raise WeightsError(
+                "these weights do not say how far off what they predict is.",
+                remedy="Train them again, or let them go on: hnf train tactile-map --start FILE --out OTHER.",
+            ) from cause
+        return error
+
+
+def find_map_weights(choice: str) -> Path:
+    """Return the file of weights that a word of `SHIPPED_WEIGHTS` or a path chooses; "" is the default.
+
+    Raises UsageError if it is neither a word nor a .safetensors file that is there.
+    """
+    path = SHIPPED_WEIGHTS.get(choice or REGRESSION, Path(choice))
+    if choice not in ("", *SHIPPED_WEIGHTS) and (path.suffix != ".safetensors" or not path.is_file()):
+        raise UsageError(
+            f"no tactile-map network is called '{choice}', and no .safetensors file.",
+            remedy=f"Choose {' or '.join(SHIPPED_WEIGHTS)}, or a file that hnf train tactile-map wrote.",
+        )
+    return path
+
+
+def refuse_package_data(path: Path) -> None:
+    """Raise UsageError if a file to be written lies in the package's data, which nobody overwrites."""
+    if path.resolve().parent == DATA_FOLDER.resolve():
+        raise UsageError(
+            f"{path.name} is part of the installed package.",
+            where=str(path),
+            remedy="Write a file of your own, and choose it by --tactile-map FILE.",
+        )
 
 
 def save_map_weights(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ...datasets.tactile_pairs import Pairs
+from ...datasets.tactile_pairs import Pairs, vary_photograph
 from ...tactile.diffusion.conditioning import NormalisedAppearance, build_condition, normalise_appearance
 from ...tactile.diffusion.predict import TRAIN_STEPS, alpha_bars, denoise, log_snr, noised, velocity
 from ...tactile.diffusion.unet import HEADS, INPUT_CHANNELS, REGRESSION, MapConfig
@@ -249,19 +249,26 @@ class Batch:
         return len(self.slopes)
 
 
-def make_training_batch(pairs: Pairs, rows: NDArray[np.int64], rng: np.random.Generator) -> Batch:
-    """Return a batch with a random flip or rotation and sensor per view, and depth and colour dropped at random."""
+def make_training_batch(
+    pairs: Pairs, rows: NDArray[np.int64], rng: np.random.Generator, *, photographs: bool = True
+) -> Batch:
+    """Return a batch with a random symmetry and sensor per view, and depth and colour dropped at random.
+
+    With `photographs`, each picture is also varied as by another camera (`vary_photograph`).
+    """
     count = len(rows)
     sensor = rng.integers(0, pairs.slopes.shape[1], count)
     depth_known, rgb_known = rng.random(count) >= DEPTH_DROPOUT, rng.random(count) >= RGB_DROPOUT
-    return _assemble_batch(pairs, rows, sensor, rng.integers(0, 8, count), depth_known, rgb_known)
+    turns = rng.integers(0, 8, count)
+    rgb = np.stack([vary_photograph(pairs.rgb[[row]], rng)[0] if photographs else pairs.rgb[row] for row in rows])
+    return _assemble_batch(pairs, rows, rgb, sensor, turns, depth_known, rgb_known)
 
 
 def make_fixed_batch(pairs: Pairs, rows: NDArray[np.int64], sensor: int, *, depth_known: bool = True) -> Batch:
     """Return a batch of unchanged views for validation, with slopes as one sensor measures them."""
     all_known = np.ones(len(rows), dtype=bool)
     zero = np.zeros(len(rows), dtype=np.int64)
-    return _assemble_batch(pairs, rows, zero + sensor, zero, all_known & depth_known, all_known)
+    return _assemble_batch(pairs, rows, pairs.rgb[rows], zero + sensor, zero, all_known & depth_known, all_known)
 
 
 def apply_symmetry(image: NDArray[np.generic], slopes: Array, turn: int) -> tuple[NDArray[np.generic], Array]:
@@ -283,16 +290,18 @@ def apply_symmetry(image: NDArray[np.generic], slopes: Array, turn: int) -> tupl
 def _assemble_batch(
     pairs: Pairs,
     rows: NDArray[np.int64],
+    rgb: NDArray[np.uint8],
     sensor: NDArray[np.int64],
     turns: NDArray[np.int64],
     depth_known: NDArray[np.bool_],
     rgb_known: NDArray[np.bool_],
 ) -> Batch:
+    sensor = np.array([pick_sensor(pairs, row, which) for row, which in zip(rows, sensor, strict=True)])
     images = np.empty((len(rows), 4, *pairs.rgb.shape[1:3]), dtype=np.float32)
     slopes = np.empty((len(rows), 2, *pairs.rgb.shape[1:3]), dtype=np.float32)
     for index, (row, which, turn) in enumerate(zip(rows, sensor, turns, strict=True)):
         image = np.concatenate(
-            [pairs.rgb[row].transpose(2, 0, 1) / np.float32(255.0), pairs.depth[row][None].astype(np.float32)]
+            [rgb[index].transpose(2, 0, 1) / np.float32(255.0), pairs.depth[row][None].astype(np.float32)]
         )
         images[index], slopes[index] = apply_symmetry(image, pairs.slopes[row, which].astype(np.float32), int(turn))
     rms = np.maximum(np.sqrt((slopes**2).mean(axis=(1, 2, 3))), RMS_FLOOR)
@@ -305,11 +314,18 @@ def _assemble_batch(
     )
 
 
+def pick_sensor(pairs: Pairs, row: np.int64, wanted: np.int64 | int) -> int:
+    """Return the wanted sensor's index, or the one that touched a recorded view, which has no other."""
+    touched = np.isfinite(pairs.slopes[row, :, 0, 0, 0])
+    return int(wanted if touched[wanted] else np.argmax(touched))
+
+
 def compute_level_statistics(pairs: Pairs) -> tuple[float, float]:
     """Return mean and standard deviation of the log10 RMS slope over all views and sensors."""
     levels = [
         np.log10(max(float(np.sqrt(np.mean(np.square(slopes, dtype=np.float32)))), RMS_FLOOR))
         for view in pairs.slopes
         for slopes in view
+        if np.isfinite(slopes[0, 0, 0])
     ]
     return float(np.mean(levels)), float(max(np.std(levels), 1e-3))

@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,25 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ...datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, PAIR_SENSORS, TRAIN, Pairs, load_pairs
+from ...datasets.tactile_pairs import (
+    HELD_OUT_CLASSES,
+    HELD_OUT_INSTANCES,
+    PAIR_SENSORS,
+    TRAIN,
+    Pairs,
+    decode_rgb,
+    load_pairs,
+    vary_photograph,
+)
 from ...errors import UsageError
 from ...files import content_hash
+from ...material.encoder_registry import describe_views, get_encoder
+from ...material.fuse import compute_library_spread
+from ...material.token import ENCODER_ID
+from ...tactile.diffusion.predict import make_tactile_map, predict_tactile_maps
 from ...tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
-from ...tactile.diffusion.weights import save_map_weights
+from ...tactile.diffusion.weights import TOKEN_ERROR, MapWeights, load_map_weights, save_map_weights
+from ...tactile.views import AppearanceView
 from ..fit import Checkpoint, load_checkpoint, save_checkpoint
 from .map_network import (
     Batch,
@@ -32,6 +47,7 @@ from .map_network import (
     compute_losses,
     make_fixed_batch,
     make_training_batch,
+    pick_sensor,
     sample_slopes,
 )
 
@@ -130,6 +146,79 @@ def _measure_distance(network: MapNetwork, batches: list[Batch], seed: int, step
     return Distance(*means, float(np.median(np.concatenate(level_db))), float(np.median(np.concatenate(band_db))))
 
 
+def measure_token_error(weights: MapWeights, pairs: Pairs, tiles: int, seed: int) -> NDArray[np.float32]:
+    """Measure the standard errors (TOKEN_DIM,) of predicted tokens, by the true maps' tokens of the same views.
+
+    Parameters
+    ----------
+    weights : MapWeights
+        Weights of D_φ.
+    pairs : Pairs
+        Views that D_φ never met, of materials that it never met. Their pictures are varied as photographs are.
+    tiles : int
+        Number of tiles, spread over the pairs.
+    seed : int
+        Seed of photographs and of a diffusion's noise.
+
+    Returns
+    -------
+    ndarray of float32, shape (TOKEN_DIM,)
+        Root mean squares of what the tokens are off; where these surfaces differ less among each other than those of
+        the library do, larger in proportion, so that the share that is explained is theirs. NaN for a value that is
+        never known.
+    """
+    predicted, true = _predict_tokens(weights, pairs, tiles, seed)
+    _, library = compute_library_spread()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a value that is never known has no mean
+        error = np.sqrt(np.nanmean(np.square(predicted - true), axis=0))
+        spread = np.sqrt(np.maximum(np.nanvar(true, axis=0), 1e-12))
+    return np.asarray(error * np.maximum(1.0, np.sqrt(library) / spread), dtype=np.float32)
+
+
+def _predict_tokens(
+    weights: MapWeights, pairs: Pairs, tiles: int, seed: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return predicted and true tokens (tiles, TOKEN_DIM) of tiles spread over the pairs, NaN where not known."""
+    encoder = get_encoder(ENCODER_ID)
+    rows_of: list[NDArray[np.float64]] = []
+    for index, tile in enumerate(np.unique(np.linspace(0, pairs.tiles - 1, tiles).astype(int))):
+        rows = np.flatnonzero(pairs.tile_index == tile)
+        sensor = PAIR_SENSORS[which := pick_sensor(pairs, rows[0], index % pairs.slopes.shape[1])]
+        rgb = decode_rgb(vary_photograph(pairs.rgb[rows], np.random.default_rng([seed, 7, tile])))
+        pitch = [float(each) for each in pairs.pitch_m[rows]]
+        depth = pairs.depth[rows].astype(np.float32) * np.array(pitch, dtype=np.float32)[:, None, None]
+        views = [
+            AppearanceView(*each, bool(each[1].any()), size) for *each, size in zip(rgb, depth, pitch, strict=True)
+        ]
+        slopes = pairs.slopes[rows, which].astype(np.float32)
+        true_maps = [make_tactile_map(each, size, sensor) for each, size in zip(slopes, pitch, strict=True)]
+        maps = predict_tactile_maps(weights, views, sensor, seed=seed)
+        tokens = [describe_views(encoder, each) for each in (list(maps), true_maps)]
+        known = tokens[0].known & tokens[1].known
+        rows_of.append(np.stack([np.where(known, token.values, np.nan) for token in tokens]).astype(np.float64))
+    predicted, true = np.moveaxis(np.stack(rows_of), 1, 0)
+    return predicted, true
+
+
+def write_token_error(path: Path, out: Path, data: Sequence[Pairs], tiles: int, seed: int) -> NDArray[np.float32]:
+    """Measure the errors of weights on several kinds of unseen data, and write the weights with the larger of them.
+
+    What is met in use is unlike any of them, so a network that errs more on one of them is trusted no more than there.
+    """
+    weights = load_map_weights(path)
+    error = np.fmax.reduce([measure_token_error(weights, pairs, tiles, seed) for pairs in data])
+    error = np.clip(np.nan_to_num(error, nan=LARGEST_ERROR), SMALLEST_ERROR, LARGEST_ERROR)
+    header = {name: text for name, text in weights.metadata.items() if name not in ("format", "architecture")}
+    words = json.dumps([round(float(value), 4) for value in error])
+    save_map_weights(out, weights.config, weights.network.parameters, {**header, TOKEN_ERROR: words})
+    return np.asarray(error, dtype=np.float32)
+
+
+SMALLEST_ERROR, LARGEST_ERROR = 1e-3, 100.0
+"""Limits of the errors in the header of weights; the largest also stands for a value that was never known."""
+
+
 ProgressCallback = Callable[[int, float, float, Mapping[str, Distance]], None]
 """Called with (steps done, fraction of the budget, running loss, distances: empty between validations)."""
 
@@ -160,6 +249,8 @@ class MapTrainingPlan:
         Threads of torch.
     half
         Use bfloat16.
+    photographs
+        Vary the pictures as by other cameras.
     validate_views, validate_minutes
         Views of each held-out split, and time between validations; maps are sampled only at the end.
     checkpoint_minutes
@@ -178,6 +269,7 @@ class MapTrainingPlan:
     seed: int = 0
     threads: int = 1
     half: bool = True
+    photographs: bool = True
     validate_views: int = 96
     validate_minutes: float = 3.0
     checkpoint_minutes: float = 3.0
@@ -216,8 +308,9 @@ def fit_map(
     config: MapConfig,
     checkpoint: Path | None = None,
     watch: ProgressCallback = lambda *_: None,
+    start: MapWeights | None = None,
 ) -> FitResult:
-    """Train on pairs, with validation on held-out splits by the averaged weights.
+    """Train on pairs, from `start` if given, with validation on held-out splits by the averaged weights.
 
     With a budget of steps alone the same seed gives the same weights on the same machine and torch, resumed or not;
     with minutes the learning rate follows the clock. Raises UsageError without a budget or without enough pairs,
@@ -228,10 +321,13 @@ def fit_map(
     if len(pairs) < plan.batch:
         raise UsageError(f"{len(pairs)} pairs are fewer than a batch of {plan.batch}.")
     torch.set_num_threads(plan.threads)
-    mean, scale = compute_level_statistics(pairs)
-    config = replace(config, level_mean=mean, level_scale=scale)
-    state = _make_initial_state(config, plan)
-    fingerprint = _compute_fingerprint(pairs, plan, config)
+    if start is None:
+        mean, scale = compute_level_statistics(pairs)
+        config = replace(config, level_mean=mean, level_scale=scale)
+    else:
+        config = start.config
+    state = _make_initial_state(config, plan, start)
+    fingerprint = _compute_fingerprint(pairs, plan, config) + ("" if start is None else start.fingerprint)
     if checkpoint is not None:
         _restore_checkpoint(state, load_checkpoint(checkpoint, fingerprint))
     running, saved, validated = math.nan, state.seconds, state.seconds
@@ -261,7 +357,9 @@ def _train_step(state: _TrainingState, pairs: Pairs, plan: MapTrainingPlan) -> f
     epoch, index = divmod(state.step, per_epoch)
     order = np.random.default_rng((plan.seed, 1, epoch)).permutation(len(pairs))
     rng = np.random.default_rng((plan.seed, 2, state.step))
-    batch = make_training_batch(pairs, order[index * plan.batch : (index + 1) * plan.batch], rng)
+    batch = make_training_batch(
+        pairs, order[index * plan.batch : (index + 1) * plan.batch], rng, photographs=plan.photographs
+    )
     for group in state.optimiser.param_groups:
         group["lr"] = _compute_learning_rate(plan, state)
     with torch.autocast("cpu", torch.bfloat16, enabled=plan.half):
@@ -285,9 +383,11 @@ def _compute_learning_rate(plan: MapTrainingPlan, state: _TrainingState) -> floa
     return plan.rate * min(1.0, (state.step + 1) / plan.warm_up) * (0.5 + 0.5 * math.cos(math.pi * spent))
 
 
-def _make_initial_state(config: MapConfig, plan: MapTrainingPlan) -> _TrainingState:
+def _make_initial_state(config: MapConfig, plan: MapTrainingPlan, start: MapWeights | None) -> _TrainingState:
     torch.manual_seed(plan.seed)
     network = _make_network(config)
+    if start is not None:
+        network.load_state_dict({name: torch.from_numpy(value) for name, value in start.network.parameters.items()})
     optimiser = torch.optim.AdamW(network.parameters(), plan.rate, betas=(0.9, 0.99), weight_decay=plan.decay)
     return _TrainingState(network, optimiser, {name: value.clone() for name, value in network.state_dict().items()})
 
@@ -356,6 +456,7 @@ def train_map(
     watch: ProgressCallback,
     *,
     partial: bool = False,
+    start: Path | None = None,
 ) -> dict[str, Any]:
     """Train on the pairs in a folder (tools/make_tactile_pairs.py) and write the averaged weights.
 
@@ -375,6 +476,8 @@ def train_map(
         Called after every step.
     partial
         Train on the shards that are present.
+    start
+        Weights to go on from; their architecture is kept.
 
     Returns
     -------
@@ -390,19 +493,48 @@ def train_map(
     """
     pairs = load_pairs(folder, TRAIN, partial=partial)
     held_out = {name: load_pairs(folder, name, partial=partial) for name in (HELD_OUT_INSTANCES, HELD_OUT_CLASSES)}
-    fitted = fit_map(pairs, held_out, plan, config, checkpoint, watch)
+    data = (
+        f"{len(pairs)} paired views of {pairs.tiles} generated tiles of {len(set(pairs.class_name) - {''})} classes and "
+        "of random surfaces; no recorded data"
+    )
+    return train_on_pairs(
+        pairs, held_out, plan, config, out, checkpoint, watch, data=data, licence=LICENCE, start=start
+    )
+
+
+def train_on_pairs(
+    pairs: Pairs,
+    held_out: Mapping[str, Pairs],
+    plan: MapTrainingPlan,
+    config: MapConfig,
+    out: Path,
+    checkpoint: Path,
+    watch: ProgressCallback,
+    *,
+    data: str,
+    licence: str,
+    start: Path | None = None,
+) -> dict[str, Any]:
+    """Train on pairs in memory and write the averaged weights with their errors on the last held-out split.
+
+    `data` and `licence` are said of the pairs in the header; for the rest, and what is raised, see `train_map`.
+    """
+    begun = None if start is None else load_map_weights(start)
+    fitted = fit_map(pairs, held_out, plan, config, checkpoint, watch, begun)
     record = {
-        "training_data": f"{len(pairs)} paired views of {pairs.tiles} generated tiles of "
-        f"{len(set(pairs.class_name) - {''})} classes and of random surfaces; no recorded data",
-        "objective": config.objective,
+        "training_data": data if begun is None else f"{data}; begun from {begun.metadata.get('training_data', start)}",
+        "objective": fitted.config.objective,
         "seed": plan.seed,
         "steps": fitted.steps,
         "views": fitted.steps * plan.batch,
         "minutes": round(fitted.seconds / 60.0, 1),
         "metrics": {name: asdict(distance) for name, distance in fitted.distances.items()},
-        "licence": LICENCE,
+        "licence": licence,
     }
     save_map_weights(out, fitted.config, fitted.parameters, _to_text(record))
+    unseen = list(held_out.values())[-1]
+    error = write_token_error(out, out, [unseen], plan.validate_views // 4, plan.seed)
+    record[TOKEN_ERROR] = [float(value) for value in error]
     return {**record, "weights": str(out), "in_words": _format_distances(fitted)}
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hnf_core.errors import MaterialError
 from hnf_core.field.features import rotate_to_stroke_frame, token_distances
 from hnf_core.material.contact_model import UNKNOWN_MECHANICS
+from hnf_core.material.fuse import compute_library_spread
 from hnf_core.material.library import Appearance, get_material, load_library
 from hnf_core.material.ranking import (
     NO_EVIDENCE,
@@ -90,6 +91,17 @@ def test_a_predicted_relief_weighs_less_than_a_measured_one() -> None:
         np.ptp(relief_log_odds(LIBRARY, token, route)) for route in (Route.MEASURED, Route.PREDICTED)
     )
     assert 0.0 < predicted < measured
+
+
+def test_a_prediction_is_no_evidence_of_what_it_does_not_explain() -> None:
+    token = get_material("denim").token
+    _, variance = compute_library_spread()
+    blind, keen = (
+        relief_log_odds(LIBRARY, Token(token, ALL, (share * np.sqrt(variance)).astype(np.float32)), Route.PREDICTED)
+        for share in (1.01, 0.2)
+    )
+    assert not blind.any()
+    assert keen[NAMES.index("denim")] > 0.0
 
 
 def test_a_scaled_relief_still_ranks_its_own_material_first() -> None:

@@ -12,6 +12,8 @@ from hnf_core.material.fuse import (
     BAND_COUNT,
     EMPTY_LEVEL,
     ROUTE_CONFIDENCE,
+    compute_library_spread,
+    compute_map_weights,
     find_significant_bands,
     format_routes,
     fuse,
@@ -97,6 +99,49 @@ def test_predicted_and_prior_bands_mix_by_confidence(values, prior, bands, confi
         assert fused.routes[band] is (Route.PREDICTED if told else Route.PRIOR)
         np.testing.assert_allclose(fused.values[at], met, rtol=1e-5, atol=1e-5)
     assert np.array_equal(fused.values[-2:], prior[-2:])
+
+
+LIBRARY_MEAN, LIBRARY_VARIANCE = compute_library_spread()
+shares = st.floats(0.01, 0.99)
+
+
+def predicted_token(values, share_explained: float) -> Token:
+    error = np.sqrt((1.0 - share_explained) * LIBRARY_VARIANCE).astype(np.float32)
+    return Token(np.asarray(values, dtype=np.float32), np.ones(TOKEN_DIM, dtype=bool), error)
+
+
+@settings(max_examples=40, deadline=None)
+@given(tokens, tokens, confidences, st.floats(1.0, 30.0))
+def test_a_prediction_that_explains_nothing_is_not_felt(values, prior, confidence, factor):
+    """Off by as much as the library's materials differ, or more: the blend goes to nothing by itself."""
+    error = (factor * 1.001 * np.sqrt(LIBRARY_VARIANCE)).astype(np.float32)
+    fused = fuse(Token(values, np.ones(TOKEN_DIM, dtype=bool), error), prior, confidence, Route.PREDICTED)
+    assert np.array_equal(fused.values, prior)
+    assert set(fused.routes) == {Route.PRIOR}
+    assert fused.confidence == pytest.approx(confidence)
+
+
+@settings(max_examples=40, deadline=None)
+@given(hnp.arrays(np.float32, TOKEN_DIM, elements=st.floats(-8, 2, width=32)), shares)
+def test_where_nothing_else_is_known_the_prediction_is_felt_as_it_is(values, share):
+    """A mean that suits the look already holds the library; blended with it, it must not be shrunk twice."""
+    fused = fuse(predicted_token(values, share), LIBRARY_MEAN, 0.0, Route.PREDICTED)
+    np.testing.assert_allclose(fused.values, values, rtol=1e-2, atol=1e-2)
+    assert set(fused.routes) == {Route.PREDICTED}
+    assert fused.confidence == pytest.approx(share**2, abs=1e-3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(shares, shares, confidences, confidences)
+def test_the_better_the_network_and_the_less_sure_the_name_the_more_it_counts(one, other, sure, surer):
+    low, high = sorted((one, other))
+    weights = [
+        compute_map_weights(predicted_token(LIBRARY_MEAN, share), Route.PREDICTED, confidence)[1]
+        for share, confidence in ((low, max(sure, surer)), (high, min(sure, surer)))
+    ]
+    assert (weights[0] <= weights[1] + 1e-9).all()
+    assert (weights[0] >= 0.0).all()
+    assert (weights[1] <= 1.0).all()
 
 
 def test_a_predicted_band_is_worth_less_than_a_measured_one():

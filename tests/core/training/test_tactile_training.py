@@ -11,16 +11,20 @@ import pytest
 pytest.importorskip("torch", reason="training needs the extra [train]")
 
 import torch
+from PIL import Image
 from synthetic_pairs import synthetic_pairs
 from tactile_networks import SMALL, look, random_weights
 
 from hnf_core.cli.main import main
-from hnf_core.datasets.tactile_pairs import SPLITS, get_shard_path, save_shard
-from hnf_core.errors import UsageError
+from hnf_core.datasets.recorded_pairs import TouchedPlace, cut_place
+from hnf_core.datasets.tactile_pairs import SPLITS, get_shard_path, save_shard, vary_photograph
+from hnf_core.errors import UsageError, WeightsError
+from hnf_core.material.fuse import compute_library_spread
+from hnf_core.material.token import LEVELS
 from hnf_core.tactile.diffusion.conditioning import normalise_view
 from hnf_core.tactile.diffusion.predict import predict_slopes
 from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, forward
-from hnf_core.tactile.diffusion.weights import load_map_weights
+from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS, load_map_weights, save_map_weights
 from hnf_core.tactile.fourier_filters import frequencies
 from hnf_core.training.tactile_map.map_network import (
     MapNetwork,
@@ -28,9 +32,15 @@ from hnf_core.training.tactile_map.map_network import (
     compute_level_statistics,
     make_fixed_batch,
     make_training_batch,
+    pick_sensor,
     sample_slopes,
 )
-from hnf_core.training.tactile_map.train_map import MapTrainingPlan, compute_band_powers, fit_map
+from hnf_core.training.tactile_map.train_map import (
+    MapTrainingPlan,
+    compute_band_powers,
+    fit_map,
+    write_token_error,
+)
 
 TINY = MapConfig(**SMALL)
 QUICK = MapTrainingPlan(steps=6, batch=4, warm_up=2, half=False, validate_views=4)
@@ -116,7 +126,9 @@ def test_batches_have_unit_patterns_and_drop_what_they_should():
 def test_eight_views_are_learned_by_heart(objective, steps, rate, pattern, level):
     """Untrained, both losses are 1 or next to it, and the sampled level 7.8 dB off."""
     pairs = synthetic_pairs(8)
-    plan = MapTrainingPlan(steps=steps, batch=8, rate=rate, warm_up=10, ema=0.9, half=False, validate_views=8)
+    plan = MapTrainingPlan(
+        steps=steps, batch=8, rate=rate, warm_up=10, ema=0.9, half=False, validate_views=8, photographs=False
+    )
     seen = fit_map(pairs, {"seen": pairs}, plan, dataclasses.replace(TINY, objective=objective)).distances["seen"]
     assert seen.pattern_loss < pattern
     assert seen.level_loss < level
@@ -167,6 +179,36 @@ def test_torch_and_numpy_sample_alike():
     assert np.abs(own - theirs).max() < 0.01 * theirs.std()
 
 
+def test_a_photograph_varies_alike_by_one_seed_and_leaves_touch_alone():
+    pairs = synthetic_pairs(4)
+    varied, again = (vary_photograph(pairs.rgb, np.random.default_rng(3)) for _ in range(2))
+    np.testing.assert_array_equal(varied, again)
+    assert varied.dtype == np.uint8
+    assert varied.shape == pairs.rgb.shape
+    different = [np.abs(varied.astype(int) - pairs.rgb).mean() for varied in (
+        vary_photograph(pairs.rgb, np.random.default_rng(seed)) for seed in range(5))]  # fmt: skip
+    assert min(different) > 0.5
+    batch = make_training_batch(pairs, np.arange(4), np.random.default_rng(0))
+    plain = make_training_batch(pairs, np.arange(4), np.random.default_rng(0), photographs=False)
+    np.testing.assert_array_equal(batch.slopes, plain.slopes)
+    assert np.abs(batch.appearance.images - plain.appearance.images).max() > 0.1
+
+
+def test_the_error_of_weights_is_what_their_tokens_are_off(tmp_path):
+    """Weights that answer with one level err by the spread of the levels, and explain nothing."""
+    weights = random_weights(seed=1, objective=REGRESSION)
+    save_map_weights(tmp_path / "in.safetensors", weights.config, weights.network.parameters, {"note": "chance"})
+    with pytest.raises(WeightsError, match="how far off"):
+        _ = load_map_weights(tmp_path / "in.safetensors").token_error
+    out = tmp_path / "out.safetensors"
+    error = write_token_error(tmp_path / "in.safetensors", out, [synthetic_pairs(8)], 2, 0)
+    stamped = load_map_weights(out)
+    np.testing.assert_allclose(stamped.token_error, error, rtol=1e-3, atol=1e-4)
+    assert stamped.metadata["note"] == "chance"
+    assert (error > 0.0).all()
+    assert (error[LEVELS] ** 2 > compute_library_spread()[1][LEVELS]).all()
+
+
 def test_band_powers_find_a_wave_in_its_octave():
     column = np.arange(64)[None, :] + np.zeros((64, 1))
     for band, period in enumerate((25.6, 12.8, 6.4, 3.2)):
@@ -212,3 +254,54 @@ def test_the_words_train_and_the_weights_say_how(words, objective, tmp_path, cap
     assert hnf("train", "tactile-map", "--data", tmp_path / "none", "--out", out) == 1
     assert "make_tactile_pairs" in capsys.readouterr().err
     assert hnf("train", "tactile-map", "--data", tmp_path / "pairs", "--out", tmp_path / "x.npz") == 2
+    assert hnf("train", "tactile-map", "--data", tmp_path / "pairs", "--out", DEFAULT_WEIGHTS) == 2
+    assert "part of the installed package" in capsys.readouterr().err
+    assert hnf("train", "tactile-map", "--data", "tarf", "--out", out) == 2
+    assert "--data tarf DIR" in capsys.readouterr().err
+    assert hnf("train", "tactile-map", "--data", "flickr", tmp_path, "--out", out) == 2
+    assert "touch-and-go" in capsys.readouterr().err
+
+
+def make_billets(folder, rng) -> None:
+    """Write places of three billets: phone photograph, and depth of a 240 × 320 frame in its pixels."""
+    for billet in ("ground_b1", "ground_b2", "rough_b3"):
+        for place in (1, 2):
+            Image.fromarray(rng.integers(0, 255, (150, 140, 3), dtype=np.uint8)).save(
+                folder / f"{billet}_{place}_phone.jpg"
+            )
+            np.save(
+                folder / f"{billet}_{place}_depth.npy", rng.normal(size=(240, 320)).cumsum(axis=1).astype(np.float32)
+            )
+
+
+def test_recorded_pairs_train_a_file_of_ones_own(tmp_path, capsys):
+    make_billets(tmp_path, np.random.default_rng(0))
+    start = tmp_path / "start.safetensors"
+    begun = random_weights(seed=1, objective=REGRESSION)
+    save_map_weights(start, begun.config, begun.network.parameters, {"note": "chance"})
+    out = tmp_path / "mine.safetensors"
+    asked = ("--data", "billets", str(tmp_path), "--start", str(start), "--out", str(out), "--minutes", "0.01")
+    assert main(["train", "tactile-map", *asked, "--json"], lambda _: 1) == 0
+    told = capsys.readouterr()
+    assert "a photograph is taken to show what its touch image shows" in told.err
+    weights = load_map_weights(out)
+    assert weights.config == begun.config
+    assert "GPL-3.0" in weights.metadata["licence"]
+    assert set(json.loads(told.out)["metrics"]) == {"held out"}
+    assert np.isfinite(weights.token_error).all()
+    (tmp_path / "rough_b3_1_depth.npy").write_bytes(b"no array")
+    assert main(["train", "tactile-map", *asked], lambda _: 1) == 1
+    assert "rough_b3_1_depth.npy" in capsys.readouterr().err
+
+
+def test_a_recorded_place_is_cut_where_its_touch_resolves_it():
+    x = np.arange(256) * 60e-6
+    slope = 0.2 * np.cos(2.0 * np.pi * x / 1e-3) + np.zeros((256, 1))
+    rgb = np.repeat((0.5 + 0.3 * np.sin(2.0 * np.pi * x / 1e-3) + np.zeros((256, 1)))[..., None], 3, axis=2)
+    place = TouchedPlace(rgb, np.stack([slope, 0.0 * slope]), None, 256 * 60e-6, "digit", "", "here")
+    pairs = cut_place(place)
+    assert sorted(set(pairs.pitch_index)) == [1, 2]  # 15.4 mm wide, pixels of 60 µm: views of 10 and 5 mm
+    assert np.isnan(pairs.slopes[:, 0]).all()
+    assert np.abs(pairs.slopes[:, 1]).max() == pytest.approx(0.2, rel=0.05)
+    assert all(pick_sensor(pairs, row, 0) == 1 for row in range(len(pairs)))
+    assert cut_place(dataclasses.replace(place, width_m=2e-3)) is None
