@@ -101,11 +101,11 @@ def load_recorded_pairs(kind: str, folder: Path, seed: int = 0) -> tuple[Pairs, 
     shares = {"train": 0.8, "held out": 0.2}
     if kind == "billets":
         billets = _list_billets(folder)
-        is_held_out = _hold_out([where for where, _ in billets], seed)
+        is_held_out = _draw_held_out([where for where, _ in billets], seed)
         parts = {
             name: [stem for where, stem in billets if (where in is_held_out) == (name != "train")] for name in shares
         }
-        places = {name: map(_read_billet, stems) for name, stems in parts.items()}
+        places: dict[str, Iterator[TouchedPlace]] = {name: map(_read_billet, stems) for name, stems in parts.items()}
         notes: tuple[str, ...] = (f"heights are taken as pixels of {1e3 * BILLET_PIXEL_M:g} mm",)
     else:
         splits = _split_files(kind, folder, seed, shares)
@@ -128,7 +128,7 @@ def _split_files(kind: str, folder: Path, seed: int, shares: Mapping[str, float]
     return split_by_location(TouchAndGoFolder(folder).pairs, seed, shares)
 
 
-def _hold_out(locations: list[str], seed: int) -> set[str]:
+def _draw_held_out(locations: list[str], seed: int) -> set[str]:
     names = sorted(set(locations))
     if len(names) < 2:
         raise UsageError("all pairs are of one location, so none can be held out.", remedy="Add another location.")
@@ -239,4 +239,4 @@ def _make_cutter(layer: Float, width_m: float, pitch_m: float) -> Callable[[floa
     pixel_m = width_m / layer.shape[1]
     factor = pitch_m / pixel_m
     smooth = antialias(layer, factor)
-    return lambda row, column: extract_view(smooth, factor, np.array([row, column]) / pixel_m)
+    return lambda row, column: extract_view(smooth, factor, np.rint(np.array([row, column]) / pixel_m).astype(np.intp))

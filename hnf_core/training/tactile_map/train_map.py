@@ -189,7 +189,8 @@ def _predict_tokens(
         pitch = [float(each) for each in pairs.pitch_m[rows]]
         depth = pairs.depth[rows].astype(np.float32) * np.array(pitch, dtype=np.float32)[:, None, None]
         views = [
-            AppearanceView(*each, bool(each[1].any()), size) for *each, size in zip(rgb, depth, pitch, strict=True)
+            AppearanceView(colour, form, bool(form.any()), size)
+            for colour, form, size in zip(rgb, depth, pitch, strict=True)
         ]
         slopes = pairs.slopes[rows, which].astype(np.float32)
         true_maps = [make_tactile_map(each, size, sensor) for each, size in zip(slopes, pitch, strict=True)]
@@ -494,8 +495,8 @@ def train_map(
     pairs = load_pairs(folder, TRAIN, partial=partial)
     held_out = {name: load_pairs(folder, name, partial=partial) for name in (HELD_OUT_INSTANCES, HELD_OUT_CLASSES)}
     data = (
-        f"{len(pairs)} paired views of {pairs.tiles} generated tiles of {len(set(pairs.class_name) - {''})} classes and "
-        "of random surfaces; no recorded data"
+        f"{len(pairs)} paired views of {pairs.tiles} generated tiles of {len(set(pairs.class_name) - {''})} classes "
+        "and of random surfaces; no recorded data"
     )
     return train_on_pairs(
         pairs, held_out, plan, config, out, checkpoint, watch, data=data, licence=LICENCE, start=start

@@ -123,7 +123,7 @@ def test_a_prediction_that_explains_nothing_is_not_felt(values, prior, confidenc
 
 @settings(max_examples=40, deadline=None)
 @given(hnp.arrays(np.float32, TOKEN_DIM, elements=st.floats(-8, 2, width=32)), shares)
-def test_where_nothing_else_is_known_the_prediction_is_felt_as_it_is(values, share):
+def test_a_prediction_alone_is_felt_as_it_is(values, share):
     """A mean that suits the look already holds the library; blended with it, it must not be shrunk twice."""
     fused = fuse(predicted_token(values, share), LIBRARY_MEAN, 0.0, Route.PREDICTED)
     np.testing.assert_allclose(fused.values, values, rtol=1e-2, atol=1e-2)
@@ -133,7 +133,7 @@ def test_where_nothing_else_is_known_the_prediction_is_felt_as_it_is(values, sha
 
 @settings(max_examples=40, deadline=None)
 @given(shares, shares, confidences, confidences)
-def test_the_better_the_network_and_the_less_sure_the_name_the_more_it_counts(one, other, sure, surer):
+def test_weights_grow_with_the_share_explained(one, other, sure, surer):
     low, high = sorted((one, other))
     weights = [
         compute_map_weights(predicted_token(LIBRARY_MEAN, share), Route.PREDICTED, confidence)[1]

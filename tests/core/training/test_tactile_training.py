@@ -179,7 +179,7 @@ def test_torch_and_numpy_sample_alike():
     assert np.abs(own - theirs).max() < 0.01 * theirs.std()
 
 
-def test_a_photograph_varies_alike_by_one_seed_and_leaves_touch_alone():
+def test_photographs_vary_by_seed_and_leave_touch_alone():
     pairs = synthetic_pairs(4)
     varied, again = (vary_photograph(pairs.rgb, np.random.default_rng(3)) for _ in range(2))
     np.testing.assert_array_equal(varied, again)
