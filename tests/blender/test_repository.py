@@ -45,7 +45,10 @@ def served(tmp_path: Path) -> Iterator[tuple[Path, str]]:
     server.server_close()
 
 
-def test_an_update_arrives(zips: tuple[Path, Path], served: tuple[Path, str], tmp_path: Path) -> None:
+def test_an_update_arrives_and_nothing_is_lost(
+    zips: tuple[Path, Path], served: tuple[Path, str], tmp_path: Path
+) -> None:
+    """Settings, a stroke's and a material's choices, and the ID properties that hold bakes and learned materials."""
     folder, address = served
     later = tmp_path / "later"
     build_repository.publish_zips([zips[0]], folder)
@@ -65,21 +68,32 @@ def test_an_update_arrives(zips: tuple[Path, Path], served: tuple[Path, str], tm
             module = sys.modules.get('bl_ext.touch.hnf')
             return manifest['version'], module is not None and hasattr(bpy.types.Object, 'hnf_stroke')
 
+        def stored():
+            curve, wood = bpy.data.objects['Along'], bpy.data.materials['Wood']
+            settings = preferences.addons['bl_ext.touch.hnf'].preferences
+            return [settings.output, curve.hnf_stroke.seed, wood.hnf_touch.library, curve['bake'], wood['learned']]
+
         print(bpy.ops.extensions.repo_sync(repo_index=index))
         print(bpy.ops.extensions.package_install(repo_index=index, pkg_id='hnf'))
         before = version()
+        preferences.addons['bl_ext.touch.hnf'].preferences.output = 'virtual'
+        curve = bpy.data.objects.new('Along', bpy.data.curves.new('Along', 'CURVE'))
+        wood = bpy.data.materials.new('Wood')
+        curve.hnf_stroke.seed, wood.hnf_touch.library = 7, 'oak-wood'
+        curve['bake'], wood['learned'] = 'baked', 'taught'
         bpy.ops.extensions.repo_sync(repo_index=index)
         bpy.ops.extensions.package_upgrade_all()
         same = version()
         shutil.copytree(later, folder, dirs_exist_ok=True)
         bpy.ops.extensions.repo_sync(repo_index=index)
         bpy.ops.extensions.package_upgrade_all()
-        print('RESULT', json.dumps([before, same, version()]))
+        print('RESULT', json.dumps([before, same, version(), stored()]))
     """
     run = run_python(tmp_path, textwrap.dedent(code), address, str(folder), str(later), timeout=120)
     assert run.returncode == 0, run.stdout + run.stderr
     now = [build_extension.read_project_version(), True]
-    assert result_of(run) == [now, now, [NEXT, True]], run.stdout + run.stderr
+    stored = ["virtual", 7, "oak-wood", "baked", "taught"]
+    assert result_of(run) == [now, now, [NEXT, True], stored], run.stdout + run.stderr
     assert "Traceback" not in run.stdout + run.stderr
 
 
