@@ -88,7 +88,8 @@ def describe_wheel(name: str, content: bytes) -> dict[str, Any]:
     with zipfile.ZipFile(io.BytesIO(content)) as wheel:
         metadata = next(each for each in wheel.namelist() if each.endswith(".dist-info/METADATA"))
         fields = email.message_from_bytes(wheel.read(metadata))
-    licence = str(fields["License-Expression"] or fields["License"] or "").strip().partition("\n")[0]
+    licence = str(fields["License-Expression"] or "")
+    first_line = str(fields["License"] or "").strip().partition("\n")[0]
     classified = [
         each.rpartition(" :: ")[2] for each in fields.get_all("Classifier", []) if each.startswith("License :: ")
     ]
@@ -99,7 +100,7 @@ def describe_wheel(name: str, content: bytes) -> dict[str, Any]:
         "version": version,
         "purl": f"pkg:pypi/{package.replace('_', '-').lower()}@{version}?file_name={name}",
         "hashes": [{"alg": "SHA-256", "content": hashlib.sha256(content).hexdigest()}],
-        "licenses": [{"license": {"name": licence or ", ".join(classified) or "see the wheel"}}],
+        "licenses": [{"license": {"name": licence or ", ".join(classified) or first_line or "see the wheel"}}],
     }
 
 
