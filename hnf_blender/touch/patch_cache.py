@@ -230,7 +230,8 @@ def load_prediction(folder: Path, key: str) -> Prediction | None:
 
 
 def save_prediction(folder: Path, key: str, prediction: Prediction) -> None:
-    """Save a patch's predicted tactile maps under their cache key."""
+    """Save a patch's predicted tactile maps, whose token has its errors, under their cache key."""
+    assert prediction.token.error is not None
     arrays = {
         "prediction": np.array(PREDICTION_VERSION),
         "images": prediction.images,

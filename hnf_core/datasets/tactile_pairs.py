@@ -150,7 +150,7 @@ def vary_photograph(views: NDArray[np.uint8], rng: np.random.Generator) -> NDArr
     if next(draws):
         quality = int(rng.integers(*JPEG_QUALITY))
         encoded = np.stack([_pass_through_jpeg(view, quality) for view in encoded])
-    return encoded
+    return np.asarray(encoded, dtype=np.uint8)
 
 
 def _zoom(layers: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
@@ -177,7 +177,8 @@ def _blur(layers: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
         index = np.arange(size)
         kernel = np.exp(-0.5 * np.square((index[:, None] - index[None, :]) / sigma))
         kernels.append((kernel / kernel.sum(axis=1, keepdims=True)).astype(np.float32))
-    return np.einsum("ij,njkc,lk->nilc", kernels[0], layers, kernels[1], optimize=True)
+    blurred = np.einsum("ij,njkc,lk->nilc", kernels[0], layers, kernels[1], optimize=True)
+    return np.asarray(blurred, dtype=np.float32)
 
 
 def _pass_through_jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
