@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datasets.ball_calibration import BALL_RADIUS_M, calibrate, read_press_folder
-from ..datasets.vision_touch import read_touch_image
-from ..errors import HnfError, UsageError
-from ..files import write_bytes
+from ..datasets.vision_touch import read_photograph, read_touch_image
+from ..errors import FileError, HnfError, UsageError
+from ..files import write_atomically, write_bytes
 from ..material.band_descriptor import describe
 from ..material.fuse import find_significant_bands
 from ..material.library import Appearance, load_library
 from ..material.ranking import Suggestion, rank
+from ..material.shared_space import SpaceMatch, find_look, find_touch, load_space
 from ..material.token import BAND_WAVELENGTHS_M, LEVELS, TOKEN_NAMES, Token
 from ..scene.rgbd_view import write_exr
 from ..tactile.optics import SENSORS
@@ -40,25 +41,31 @@ SHOWN_MATERIALS = 5
 """Number of nearest materials that are printed."""
 HEIGHT_SUFFIXES = (".exr", ".npy")
 TOUCH_OPTIONS = {
-    name: f"--{name.replace('_', '-')}" for name in ("sensor", "background", "calibration", "mm_per_pixel")
+    name: f"--{name.replace('_', '-')}" for name in ("sensor", "background", "calibration", "mm_per_pixel", "space")
 }
 """Options of `add_touch_options`, by their names in the parsed arguments."""
 
 
+CAMERA = "camera"
+"""Value of --sensor for a photograph, which is looked up in a space of looks and touch."""
+
+
 @dataclass(frozen=True)
 class TouchDescription:
-    """Description of a touch image: how it was decoded, its token, and the library ranked by it."""
+    """Description of a touch image: how it was decoded, its token, the library ranked by it, and what --space holds."""
 
     decoded: DecodedTouch
     token: Token
     ranked: tuple[Suggestion, ...]
+    match: SpaceMatch | None = None
 
 
 def add_touch_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how a touch image is decoded."""
     parser.add_argument(
-        "--sensor", metavar="KIND", help=f"{' or '.join(SENSORS)} (default: the calibration's, else gelsight)"
-    )
+        "--sensor", metavar="KIND",
+        help=f"{' or '.join(SENSORS)} (default: the calibration's, else gelsight); or {CAMERA}: a photograph, for --space",
+    )  # fmt: skip
     parser.add_argument("--background", type=Path, metavar="IMAGE", help="picture of the untouched sensor")
     parser.add_argument(
         "--calibration", type=Path, metavar="FILE.json", help="of this sensor, by `hnf describe --calibrate`"
@@ -66,6 +73,10 @@ def add_touch_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mm-per-pixel", type=float, metavar="MM", help="scale of the picture (default: the calibration's)"
     )
+    parser.add_argument(
+        "--space", type=Path, metavar="FILE",
+        help="space.safetensors of `hnf train alignment`: find the GelSight tuples that are nearest to the picture",
+    )  # fmt: skip
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -100,6 +111,13 @@ def run(arguments: argparse.Namespace) -> int:
         return _calibrate(arguments)
     if arguments.height is not None and arguments.height.suffix not in HEIGHT_SUFFIXES:
         raise UsageError(f"--height {arguments.height.name}: heights are .exr or .npy.", remedy="Name it so.")
+    if arguments.sensor == CAMERA:
+        if arguments.height is not None or arguments.picture is not None:
+            raise UsageError("a photograph has no height: --height and --picture are for touch.", remedy="Leave them.")
+        match = describe_look(arguments.image, arguments)
+        record = {"image": str(arguments.image), "sensor": CAMERA, "space": _make_match_record(match)}
+        print(json.dumps(record, indent=1, ensure_ascii=False) if arguments.json else _format_match(record["space"]))
+        return 0
     described = describe_touch_image(arguments.image, arguments)
     tactile_map = described.decoded.tactile_map
     if arguments.height is not None and tactile_map.height is not None:
@@ -146,12 +164,45 @@ def describe_touch_image(path: Path, arguments: argparse.Namespace) -> TouchDesc
         )
     except HnfError as error:
         raise type(error)(error.what, where=error.where or str(path), remedy=error.remedy) from error
+    match = None if arguments.space is None else find_touch(load_space(arguments.space), decoded.tactile_map)
     token = describe(decoded.tactile_map)
     ranked = rank(load_library(), Appearance(), [""], token=token, route=decoded.tactile_map.route)
     if not any(find_significant_bands(token)):
         note = "no band of wavelengths stands above the noise: nothing but habit speaks for the materials below"
         decoded = replace(decoded, notes=(*decoded.notes, note))
-    return TouchDescription(decoded, token, ranked)
+    return TouchDescription(decoded, token, ranked, match)
+
+
+def describe_look(path: Path, arguments: argparse.Namespace) -> SpaceMatch:
+    """Find the touch of the photograph at `path` in the space of --space; raise HnfError."""
+    pixel_m = _get_pixel_m(arguments)
+    if arguments.space is None or pixel_m is None:
+        raise UsageError(
+            f"--sensor {CAMERA} needs --space FILE and --mm-per-pixel.",
+            remedy="A space is made by `hnf train alignment`.",
+        )
+    if arguments.background is not None or arguments.calibration is not None:
+        raise UsageError("--background and --calibration are for touch sensors.", remedy="Leave them out.")
+    return find_look(load_space(arguments.space), read_photograph(path), pixel_m)
+
+
+def _make_match_record(match: SpaceMatch) -> dict[str, Any]:
+    return {
+        "views": match.views,
+        "materials": [{"name": name, "share": round(share, 4)} for name, share in match.materials],
+        "tuples": [
+            {"material": name, "mm_per_pixel": 1e3 * pitch, "cosine": round(cosine, 4)}
+            for name, pitch, cosine in match.tuples
+        ],
+        "token": dict(zip(TOKEN_NAMES, map(float, match.token.values), strict=True)),
+    }
+
+
+def _format_match(record: dict[str, Any]) -> str:
+    return "\n".join(
+        [f"{len(record['tuples'])} GelSight tuples are nearest to {record['views']} view(s); by material:"]
+        + [f"{each['name']:<20}  {each['share']:4.0%}" for each in record["materials"][:SHOWN_MATERIALS]]
+    )
 
 
 def make_record(described: TouchDescription) -> dict[str, Any]:
@@ -178,6 +229,7 @@ def make_record(described: TouchDescription) -> dict[str, Any]:
         "token": dict(zip(TOKEN_NAMES, values, strict=True)),
         "materials": [{**asdict(each), "category": category[each.name]} for each in described.ranked],
         "notes": list(described.decoded.notes),
+        **({} if described.match is None else {"space": _make_match_record(described.match)}),
     }
 
 
@@ -196,7 +248,7 @@ def _format_table(image: Path, record: dict[str, Any]) -> str:
     ]  # fmt: skip
     for each in record["materials"][:SHOWN_MATERIALS]:
         lines.append(f"{each['name']:<20}  {each['category']:<8}  {each['confidence']:4.0%}  {each['reason']}")
-    return "\n".join(lines)
+    return "\n".join([*lines, *([_format_match(record["space"])] if "space" in record else [])])
 
 
 def _write_height(path: Path, height: NDArray[np.float32]) -> None:

@@ -39,15 +39,16 @@ from ..field.resampling import (
 from ..field.stroke import StrokeInput, resample_action, sample_count, uniform_stroke
 from ..field.synthesis import AXES, synthesise, synthesise_axes, tolerance_warning
 from ..field.weights import load_field, read_trained_material, resolve_material_field
-from ..material.fuse import ROUTE_CONFIDENCE, fuse
+from ..material.fuse import ROUTE_CONFIDENCE, fuse, fuse_measured_over_predicted
 from ..material.hnf_file import HNF_SUFFIX, read_hnf
 from ..material.library import LibraryMaterial
 from ..material.probe import PROBE_NAMES, get_probe
 from ..material.ranking import find_material
 from ..progress import Progress, ProgressBar
 from ..signal import Signal
+from ..tactile.tactile_map import Route
 from .commands import HELP, parse_seed
-from .describe import TOUCH_OPTIONS, add_touch_options, describe_touch_image
+from .describe import CAMERA, TOUCH_OPTIONS, add_touch_options, describe_look, describe_touch_image
 from .export import check_output
 
 MAX_IN_MEMORY_S = 120.0
@@ -375,22 +376,40 @@ def _load_field_and_material(
 
 
 def _load_touch(arguments: argparse.Namespace) -> tuple[Field, LibraryMaterial, tuple[str, ...], dict[str, str]]:
-    """Return the field, the material of a touch image, notes, and facts for the provenance."""
-    named = arguments.material
-    described = describe_touch_image(arguments.touch, arguments)
-    nearest, notes = described.ranked[0], [f"{note}." for note in described.decoded.notes]
-    material, suggestion = find_material(nearest.name if named is None else named)
-    confidence = nearest.confidence if named is None else 1.0 if suggestion is None else suggestion.confidence
+    """Return the field, the material of a touch image or look, notes, and facts for the provenance."""
+    named, is_look = arguments.material, arguments.sensor == CAMERA
+    described = None if is_look else describe_touch_image(arguments.touch, arguments)
+    match = describe_look(arguments.touch, arguments) if described is None else described.match
+    notes = [] if described is None else [f"{note}." for note in described.decoded.notes]
+    found = [] if match is None else [*match.materials]
+    if described is not None and not found:
+        found = [(each.name, each.confidence) for each in described.ranked]
+    nearest, aptness = found[0]
+    material, suggestion = find_material(nearest if named is None else named)
+    confidence = aptness if named is None else 1.0 if suggestion is None else suggestion.confidence
     if named is None:
-        notes.append(f"{nearest.name} is the nearest material, {nearest.confidence:.0%} apt: its mechanics are taken.")
-    tactile_map = described.decoded.tactile_map
-    fused = fuse(described.token, material.token, confidence, tactile_map.route)
+        notes.append(f"{nearest} is the nearest material, {aptness:.0%} apt: its mechanics are taken.")
+    sensor, source, prior = CAMERA, "the space of --space", material.token
+    if match is not None:
+        bridged = fuse(match.token, prior, confidence, Route.PREDICTED)
+    if described is None:
+        fused = bridged
+    else:
+        tactile_map = described.decoded.tactile_map
+        sensor, source, route = tactile_map.sensor, tactile_map.height_source, tactile_map.route
+        if match is None:
+            fused = fuse(described.token, prior, confidence, route)
+        elif route is Route.MEASURED:
+            fused = fuse_measured_over_predicted(described.token, match.token, prior, confidence)
+        else:
+            fused = bridged
     facts = {
         "material": material.name,
         "touch": arguments.touch.name,
-        "touch_sensor": tactile_map.sensor,
-        "touch_decoded_by": tactile_map.height_source,
+        "touch_sensor": sensor,
+        "touch_decoded_by": source,
         "touch_bands": " ".join(route.value for route in fused.routes),
         "touch_confidence": f"{np.mean([ROUTE_CONFIDENCE.get(route, 0.0) for route in fused.routes]):.2f}",
+        **({} if match is None else {"touch_space": arguments.space.name}),
     }
     return load_field(), replace(material, token=fused.values), tuple(notes), facts

@@ -1,6 +1,7 @@
-"""ResNet-50 encoder with the parameter names of published weights, and the embedding of tuples.
+"""The encoders, and the embedding of tuples: small heads on texture statistics, and ResNet-50.
 
-The network is that of He et al. (2016) in the form published by torchvision (stride in the 3×3 convolution), so weight
+`StatisticsEncoder` is a head of `hnf_core.material.shared_space`, to be trained. `ResNetEncoder` has the parameter names
+of published weights; its network is that of He et al. (2016) in the form published by torchvision (stride in the 3×3 convolution), so weight
 files are interchangeable; only the last layer, `fc`, has as many outputs as the embedding space has dimensions. It is
 implemented here because the published torchvision package does not import with a torch built without CUDA. The
 embedding of a view is the mean of those of its four corner crops.
@@ -19,6 +20,16 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hnf_core.errors import WeightsError
+from hnf_core.material.shared_space import (
+    EMBEDDING_SIZE,
+    LARGEST_STATISTIC,
+    LAYERS,
+    LOOK_FLOOR,
+    STATISTICS_COUNT,
+    TOUCH_FLOOR,
+    Head,
+    compute_texture_statistics,
+)
 
 from ..encoder.network import format_save_command
 from .inputs import Tuples
@@ -103,6 +114,76 @@ class ResNetEncoder(nn.Module):
         return functional.normalize(point.to(torch.promote_types(point.dtype, torch.float32)), dim=1)
 
 
+@dataclass(frozen=True)
+class HeadArchitecture:
+    """Size of a head on texture statistics.
+
+    Attributes
+    ----------
+    hidden
+        Units of both hidden layers.
+    dropout
+        Share of the hidden units that are dropped in training, and half as many of the statistics.
+    looks
+        Number of times that each tuple is varied; its statistics are kept in memory.
+    """
+
+    hidden: int = 512
+    dropout: float = 0.2
+    looks: int = 8
+    outputs: int = EMBEDDING_SIZE
+
+
+class StatisticsEncoder(nn.Module):
+    """Texture statistics (n, STATISTICS_COUNT) → embeddings (n, outputs) of unit length."""
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, architecture: HeadArchitecture) -> None:
+        super().__init__()
+        hidden = architecture.hidden
+        self.register_buffer("mean", torch.zeros(STATISTICS_COUNT))
+        self.register_buffer("scale", torch.ones(STATISTICS_COUNT))
+        self.lin0, self.bn0 = nn.Linear(STATISTICS_COUNT, hidden), nn.BatchNorm1d(hidden)
+        self.lin1, self.bn1 = nn.Linear(hidden, hidden), nn.BatchNorm1d(hidden)
+        self.fc = nn.Linear(hidden, architecture.outputs)
+        self.drop_inputs = nn.Dropout(0.5 * architecture.dropout)
+        self.drop = nn.Dropout(architecture.dropout)
+
+    def standardise(self, statistics: Tensor) -> None:
+        """Set the mean and scale of the inputs to those of `statistics`."""
+        self.mean.copy_(statistics.mean(dim=0))
+        self.scale.copy_(statistics.std(dim=0) + 1e-4)
+
+    def forward(self, statistics: Tensor) -> Tensor:
+        x = ((statistics - self.mean) / self.scale).clamp(-LARGEST_STATISTIC, LARGEST_STATISTIC)
+        x = self.drop(torch.relu(self.bn0(self.lin0(self.drop_inputs(x)))))
+        x = self.drop(torch.relu(self.bn1(self.lin1(x))))
+        return functional.normalize(self.fc(x).float(), dim=1)
+
+    def export(self) -> Head:
+        """Return the head in numpy, batch normalisation folded into its layers."""
+        tensors = {"mean": self.mean, "scale": self.scale}
+        for layer, linear, norm in zip(LAYERS, (self.lin0, self.lin1, self.fc), (self.bn0, self.bn1, None), strict=True):
+            weight, bias = linear.weight.detach(), linear.bias.detach()
+            if norm is not None and norm.running_mean is not None and norm.running_var is not None:
+                gain = norm.weight.detach() / torch.sqrt(norm.running_var + norm.eps)
+                weight, bias = weight * gain[:, None], (bias - norm.running_mean) * gain + norm.bias.detach()
+            tensors |= {f"{layer}.weight": weight, f"{layer}.bias": bias}
+        return Head({name: np.array(value, dtype=np.float32) for name, value in tensors.items()})
+
+
+Encoder = ResNetEncoder | StatisticsEncoder
+
+
+def make_encoder(architecture: Architecture | HeadArchitecture) -> Encoder:
+    """Make an untrained encoder."""
+    if isinstance(architecture, HeadArchitecture):
+        return StatisticsEncoder(architecture)
+    return ResNetEncoder(architecture).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
 def load_backbone(encoder: ResNetEncoder, published: Mapping[str, Tensor], where: str) -> None:
     """Load all weights except `fc` from a state dict with the standard names, such as ImageNet weights.
 
@@ -159,7 +240,7 @@ MAX_LOG_GAIN = 0.2
 
 @dataclass(frozen=True)
 class Batch:
-    """Inputs of both encoders, (k, 3, pixels, pixels) float32 with channels last in memory.
+    """Inputs of both encoders: (k, 3, pixels, pixels) float32 with channels last in memory, or texture statistics.
 
     Row i of both belongs to the same tuple.
     """
@@ -174,16 +255,35 @@ def make_training_batch(tuples: Tuples, chosen: Rows, pixels: int, rng: np.rando
     Each tuple is rotated or mirrored and cropped at a random position, the same for both inputs; the image's brightness
     and the sensor's lamps vary.
     """
-    rows, count = tuples.row[chosen], len(chosen)
-    turn = rng.integers(tuples.images.turns, size=count)
-    image = tuples.images.rgb(rows, turn).astype(np.float32) / np.float32(255.0)
-    image *= np.exp(rng.uniform(-MAX_LOG_GAIN, MAX_LOG_GAIN, (count, 1, 1, 1))).astype(np.float32)
-    touch = tuples.images.touch(rows, tuples.sensor[chosen], turn, rng)
-    corner = rng.integers(image.shape[1] - pixels + 1, size=(count, 2))
+    image, touch = _vary(tuples, chosen, rng)
+    corner = rng.integers(image.shape[1] - pixels + 1, size=(len(chosen), 2))
     return Batch(
         make_image_tensor(_crop(image, corner, pixels)),
         make_touch_tensor(_crop(touch, corner, pixels), tuples.images.floor),
     )
+
+
+def compute_varied_statistics(tuples: Tuples, seed: int, look: int) -> Batch:
+    """Compute the statistics of all tuples, each varied as in `make_training_batch`, whole views.
+
+    look: number of the variation.
+    """
+    vision, touch = [], []
+    for start in range(0, len(tuples), VIEWS_PER_BATCH):
+        chosen = np.arange(start, min(start + VIEWS_PER_BATCH, len(tuples)))
+        image, contact = _vary(tuples, chosen, np.random.default_rng([seed, 2, look, start]))
+        vision.append(torch.from_numpy(compute_texture_statistics(image, LOOK_FLOOR)))
+        touch.append(torch.from_numpy(compute_texture_statistics(contact, TOUCH_FLOOR)))
+    return Batch(torch.cat(vision), torch.cat(touch))
+
+
+def _vary(tuples: Tuples, chosen: Rows, rng: np.random.Generator) -> tuple[Float32, Float32]:
+    """Return images and touches (k, P, P, 3), turned alike, of other brightness and other lamps."""
+    rows, count = tuples.row[chosen], len(chosen)
+    turn = rng.integers(tuples.images.turns, size=count)
+    image = tuples.images.rgb(rows, turn).astype(np.float32) / np.float32(255.0)
+    image *= np.exp(rng.uniform(-MAX_LOG_GAIN, MAX_LOG_GAIN, (count, 1, 1, 1))).astype(np.float32)
+    return image, tuples.images.touch(rows, tuples.sensor[chosen], turn, rng)
 
 
 def make_image_tensor(images: Float32) -> Tensor:
@@ -216,17 +316,17 @@ VIEWS_PER_BATCH = 128
 """Number of views embedded at once."""
 
 
-def embed_images(encoder: ResNetEncoder, tuples: Tuples, pixels: int) -> Float32:
+def embed_images(encoder: Encoder, tuples: Tuples, pixels: int) -> Float32:
     """Return the (n, d) unit embeddings of the images, without augmentation."""
 
     def load_images(rows: slice) -> Float32:
         upright = np.zeros(len(tuples.row[rows]), dtype=np.int64)
         return tuples.images.rgb(tuples.row[rows], upright).astype(np.float32) / np.float32(255.0)
 
-    return _embed(encoder, len(tuples), pixels, load_images, make_image_tensor)
+    return _embed(encoder, len(tuples), pixels, load_images, make_image_tensor, LOOK_FLOOR)
 
 
-def embed_touches(encoder: ResNetEncoder, tuples: Tuples, pixels: int, seed: int) -> Float32:
+def embed_touches(encoder: Encoder, tuples: Tuples, pixels: int, seed: int) -> Float32:
     """Return the (n, d) unit embeddings of the touches, each with its own variation of the sensor."""
 
     def load_touches(rows: slice) -> Float32:
@@ -234,24 +334,30 @@ def embed_touches(encoder: ResNetEncoder, tuples: Tuples, pixels: int, seed: int
         rng = np.random.default_rng([seed, rows.start])
         return tuples.images.touch(tuples.row[rows], tuples.sensor[rows], upright, rng)
 
-    return _embed(encoder, len(tuples), pixels, load_touches, partial(make_touch_tensor, floor=tuples.images.floor))
+    tensor = partial(make_touch_tensor, floor=tuples.images.floor)
+    return _embed(encoder, len(tuples), pixels, load_touches, tensor, TOUCH_FLOOR)
 
 
 def _embed(
-    encoder: ResNetEncoder,
+    encoder: Encoder,
     count: int,
     pixels: int,
     load_images: Callable[[slice], Float32],
     tensor: Callable[[Float32], Tensor],
+    floor: float,
 ) -> Float32:
     if not count:
         return np.zeros((0, encoder.fc.out_features), dtype=np.float32)
     was_training, embeddings = encoder.training, []
     encoder.eval()
-    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
+    is_network = isinstance(encoder, ResNetEncoder)
+    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=is_network):
         for first in range(0, count, VIEWS_PER_BATCH):
             views = load_images(slice(first, min(first + VIEWS_PER_BATCH, count)))
-            points = torch.stack([encoder(tensor(corner)) for corner in crop_corners(views, pixels)]).mean(dim=0)
+            if isinstance(encoder, StatisticsEncoder):
+                points = encoder(torch.from_numpy(compute_texture_statistics(views, floor)))
+            else:
+                points = torch.stack([encoder(tensor(corner)) for corner in crop_corners(views, pixels)]).mean(dim=0)
             embeddings.append(torch.nn.functional.normalize(points, dim=1).numpy())
     encoder.train(was_training)
     return np.concatenate(embeddings)

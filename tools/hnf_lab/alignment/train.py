@@ -20,8 +20,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache, partial
 from math import cos, pi
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,13 +32,29 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from hnf_core.datasets.tactile_pairs import PAIR_SENSORS
 from hnf_core.errors import FileError, UsageError, WeightsError
 from hnf_core.files import content_hash, write_bytes, write_text
+from hnf_core.material.shared_space import SharedSpace, save_space
 from hnf_core.safetensors_io import dump_tensors, load_tensors
+from hnf_core.tactile.views import VIEW_PIXELS
 from hnf_core.training.fit import Checkpoint, load_checkpoint, save_checkpoint
 
-from .encoders import RESNET50, Architecture, ResNetEncoder, load_backbone, make_training_batch
-from .inputs import Tuples
+from .encoders import (
+    RESNET50,
+    Architecture,
+    Batch,
+    Encoder,
+    HeadArchitecture,
+    ResNetEncoder,
+    StatisticsEncoder,
+    compute_varied_statistics,
+    embed_touches,
+    load_backbone,
+    make_encoder,
+    make_training_batch,
+)
+from .inputs import GeneratedImagePairs, Tuples
 
 TEMPERATURE = 0.07
 """Temperature, as in CMC (Tian et al. 2020) and the paper."""
@@ -157,7 +175,7 @@ class Recipe:
     steps: int | None = None
     minutes: float | None = None
     seed: int = 0
-    architecture: Architecture = field(default_factory=lambda: RESNET50)
+    architecture: Architecture | HeadArchitecture = field(default_factory=lambda: RESNET50)
 
     def __post_init__(self) -> None:
         if self.steps is None and self.minutes is None:
@@ -184,8 +202,8 @@ class Recipe:
 class FitResult:
     """Trained encoders in evaluation mode. history: (steps, 3) step, seconds of training so far, loss."""
 
-    vision: ResNetEncoder
-    touch: ResNetEncoder
+    vision: Encoder
+    touch: Encoder
     history: Float
 
 
@@ -195,6 +213,7 @@ def fit_encoders(
     checkpoint: Path | None = None,
     watch: ProgressCallback = lambda *_: None,
     start: Mapping[str, torch.Tensor] | None = None,
+    get_look: Callable[[int], Batch] | None = None,
 ) -> FitResult:
     """Train two encoders on tuples; labels are not used.
 
@@ -210,6 +229,8 @@ def fit_encoders(
         Progress callback (progress, loss), called after every step.
     start
         State dict of a backbone from which both encoders start (ImageNet weights).
+    get_look
+        Statistics of the tuples by the number of the variation, if they are known already.
 
     Returns
     -------
@@ -225,14 +246,15 @@ def fit_encoders(
         raise UsageError(
             f"{len(tuples)} tuples are fewer than a batch of {recipe.batch}.", remedy="Take a smaller one."
         )
-    run = _TrainingRun(tuples, recipe)
+    run = _TrainingRun(tuples, recipe, get_look)
     fingerprint = content_hash(repr(asdict(recipe)), tuples.row.tobytes(), tuples.sensor.tobytes())
     stored = None if checkpoint is None else load_checkpoint(checkpoint, fingerprint)
     if stored is not None:
         run.restore_checkpoint(stored)
     elif start is not None:
         for encoder in (run.vision, run.touch):
-            load_backbone(encoder, start, "the trunk to start from")
+            if isinstance(encoder, ResNetEncoder):
+                load_backbone(encoder, start, "the trunk to start from")
     saved_at = time.monotonic()
     while (progress := recipe.compute_progress(len(run.history), run.seconds)) < 1.0:
         loss = run.step(progress)
@@ -252,13 +274,15 @@ def set_torch_threads(threads: int) -> str:
 class _TrainingRun:
     """State of a training."""
 
-    def __init__(self, tuples: Tuples, recipe: Recipe) -> None:
+    def __init__(self, tuples: Tuples, recipe: Recipe, get_look: Callable[[int], Batch] | None = None) -> None:
         torch.manual_seed(recipe.seed)
         self.tuples, self.recipe = tuples, recipe
-        self.vision, self.touch = (
-            ResNetEncoder(recipe.architecture).to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
-            for _ in range(2)
-        )
+        self.vision, self.touch = (make_encoder(recipe.architecture).train() for _ in range(2))
+        self.get_look = get_look or lru_cache(partial(compute_varied_statistics, tuples, recipe.seed))
+        if isinstance(self.vision, StatisticsEncoder) and isinstance(self.touch, StatisticsEncoder):
+            first = self._get_look(0)
+            self.vision.standardise(first.vision)
+            self.touch.standardise(first.touch)
         self.history: list[tuple[float, float, float]] = []
         self.seconds = 0.0
         parameters = [*self.vision.parameters(), *self.touch.parameters()]
@@ -275,9 +299,14 @@ class _TrainingRun:
         for group in self.optimiser.param_groups:
             group["lr"] = recipe.compute_learning_rate(progress)
         rng = np.random.default_rng([recipe.seed, 1, number])
-        batch = make_training_batch(self.tuples, self._select_rows(number), recipe.pixels, rng)
+        chosen, is_network = self._select_rows(number), isinstance(recipe.architecture, Architecture)
+        if is_network:
+            batch = make_training_batch(self.tuples, chosen, recipe.pixels, rng)
+        else:
+            look = self._get_look(number // (len(self.tuples) // recipe.batch))
+            batch = Batch(look.vision[chosen], look.touch[chosen])
         self.optimiser.zero_grad(set_to_none=True)
-        with torch.autocast("cpu", torch.bfloat16):
+        with torch.autocast("cpu", torch.bfloat16, enabled=is_network):
             loss = self._backward([batch.vision, batch.touch])
         self.optimiser.step()
         self.seconds += time.monotonic() - start
@@ -295,6 +324,11 @@ class _TrainingRun:
         value = loss(self.vision(inputs[0]), self.touch(inputs[1]))
         value.backward()  # type: ignore[no-untyped-call]
         return float(value.detach())
+
+    def _get_look(self, epoch: int) -> Batch:
+        """Return the statistics of all tuples, as they are varied in an epoch; variations come round again."""
+        assert isinstance(self.recipe.architecture, HeadArchitecture)
+        return self.get_look(epoch % self.recipe.architecture.looks)
 
     def _select_rows(self, number: int) -> NDArray[np.int64]:
         """Return the rows of one batch; every epoch permutes all tuples and omits the last incomplete batch."""
@@ -336,8 +370,8 @@ RECORD_FILE = "alignment.json"
 class AlignedEncoders:
     """Frozen encoders with the side of their crops, and the contents of RECORD_FILE."""
 
-    vision: ResNetEncoder
-    touch: ResNetEncoder
+    vision: Encoder
+    touch: Encoder
     pixels: int
     record: Mapping[str, Any]
 
@@ -345,6 +379,12 @@ class AlignedEncoders:
     def sensor(self) -> str:
         """Sensor of the training tuples: gelsight, digit or both."""
         return str(self.record["sensor"])
+
+
+STATISTICS_RECIPE = MappingProxyType(
+    {"pixels": VIEW_PIXELS, "batch": 1024, "chunk": 1024, "rate": 2e-3, "architecture": HeadArchitecture()}
+)
+"""Settings of the recipe of heads on texture statistics."""
 
 
 def save_encoders(folder: Path, fitted: FitResult, recipe: Recipe, details: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -385,7 +425,11 @@ def load_encoders(folder: Path) -> AlignedEncoders:
             raise ValueError(f"format {record['format']!r}")
         recipe = record["recipe"]
         shape = recipe["architecture"]
-        architecture = Architecture(tuple(shape["blocks"]), int(shape["width"]), int(shape["outputs"]))
+        architecture = (
+            Architecture(tuple(shape["blocks"]), int(shape["width"]), int(shape["outputs"]))
+            if "blocks" in shape
+            else HeadArchitecture(int(shape["hidden"]), outputs=int(shape["outputs"]))
+        )
         data = {name: (folder / f"{name}.safetensors").read_bytes() for name in ("vision", "touch")}
         states = {name: load_tensors(content)[0] for name, content in data.items()}
         sums, pixels = record["sha256"], int(recipe["pixels"])
@@ -402,13 +446,42 @@ def load_encoders(folder: Path) -> AlignedEncoders:
                 where=str(folder),
                 remedy="Train again.",
             )
-        encoder = ResNetEncoder(architecture)
+        encoder = make_encoder(architecture)
         try:
             encoder.load_state_dict({key: torch.from_numpy(np.array(value)) for key, value in state.items()})
         except RuntimeError as error:
             raise WeightsError(f"{name}.safetensors does not fit its record.", where=str(folder)) from error
-        encoders[name] = encoder.to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+        encoders[name] = encoder.eval()
     return AlignedEncoders(encoders["vision"], encoders["touch"], pixels, record)
+
+
+SPACE_FILE = "space.safetensors"
+
+
+def save_shared_space(path: Path, models: AlignedEncoders, tuples: Tuples, seed: int = 0) -> bool:
+    """Write the heads and the labelled GelSight tuples of generated pairs as one file for `hnf describe --space`.
+
+    Return False, and write nothing, for other encoders or tuples: only generated pairs have tokens and a scale.
+    """
+    heads = {"vision": models.vision, "touch": models.touch}
+    pictures = tuples.images
+    if not isinstance(pictures, GeneratedImagePairs) or not all(
+        isinstance(head, StatisticsEncoder) for head in heads.values()
+    ):
+        return False
+    found = tuples.select((tuples.label >= 0) & (tuples.sensor == PAIR_SENSORS.index("gelsight")))
+    if not len(found):
+        return False
+    pairs = pictures.pairs
+    tiles, tile_index = np.unique(pairs.tile_index[found.row], return_inverse=True)
+    space = SharedSpace(
+        {name: head.export() for name, head in heads.items() if isinstance(head, StatisticsEncoder)},
+        embed_touches(models.touch, found, models.pixels, seed), pairs.pitch_index[found.row],
+        tile_index.astype(np.int64), pairs.token[tiles], tuple(pairs.class_name[tile] for tile in tiles),
+        {"trained_on": models.sensor, "data": "generated pairs of this project", "seed": str(seed)},
+    )  # fmt: skip
+    save_space(path, space)
+    return True
 
 
 def _space_indices(count: int, most: int) -> list[int]:

@@ -22,13 +22,18 @@ def add_parser(subjects: Any) -> None:
     parser = subjects.add_parser(
         "alignment",
         help="one space for looks and the touch of two sensors",
-        description="Train two ResNet-50 encoders, of looks and of touch, by contrast (docs/alignment.md), and write "
-        "vision.safetensors, touch.safetensors and alignment.json. A killed run resumes where it was when the same "
+        description="Train two encoders, of looks and of touch, by contrast (docs/alignment.md), and write "
+        "vision.safetensors, touch.safetensors and alignment.json, and space.safetensors for `hnf describe --space`. "
+        "A killed run resumes where it was when the same "
         "command is given again.",
     )
     add_data_option(parser)
     parser.add_argument("--sensor", choices=["gelsight", "digit", "both"], default="both", help="whose tuples")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into")
+    parser.add_argument(
+        "--encoder", choices=["statistics", "resnet50"], default="statistics",
+        help="small heads on texture statistics (default), or the paper's networks, which take hours",
+    )  # fmt: skip
     parser.add_argument("--minutes", type=float, metavar="N", help="of training; the learning rate follows the clock")
     parser.add_argument("--steps", type=int, metavar="N", help="of training; equal seeds then give equal weights")
     parser.add_argument("--pixels", type=int, metavar="N", help="side of what is cut out of a view (32 to 64)")
@@ -58,10 +63,12 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--seed must be at least 0, --threads 1, and --minutes more than none.")
     version = prepare_torch(arguments.threads)
     from ..alignment.inputs import open_source
-    from ..alignment.train import fit_encoders, save_encoders
+    from ..alignment.train import SPACE_FILE, fit_encoders, load_encoders, save_encoders, save_shared_space
     from ..encoder.network import read_state_dict
 
-    recipe = _make_recipe(arguments)
+    recipe = make_recipe(arguments)
+    if arguments.trunk is not None and arguments.encoder != "resnet50":
+        raise UsageError("a trunk is a ResNet-50's.", remedy="Give --encoder resnet50.")
     start = None
     if arguments.trunk is not None:
         start, _ = read_state_dict(arguments.trunk, "resnet50")
@@ -87,6 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
     }  # fmt: skip
     record = save_encoders(arguments.out, fitted, recipe, details)
     checkpoint.unlink(missing_ok=True)
+    save_shared_space(arguments.out / SPACE_FILE, load_encoders(arguments.out), tuples, arguments.seed)
     print(json.dumps(record, indent=1) if arguments.json else _format_record(arguments.out, record))
     return 0
 
@@ -98,13 +106,16 @@ def prepare_torch(threads: int) -> str:
     return set_torch_threads(threads)
 
 
-def _make_recipe(arguments: argparse.Namespace) -> Recipe:
-    from ..alignment.train import Recipe
+def make_recipe(arguments: argparse.Namespace) -> Recipe:
+    """Return the recipe that the command's options describe."""
+    from ..alignment.train import STATISTICS_RECIPE, Recipe
 
     given = {name: getattr(arguments, name) for name in ("pixels", "batch", "chunk", "rate", "minutes", "steps")}
     if given["batch"] is not None and given["chunk"] is None:
         given["chunk"] = given["batch"]
-    return Recipe(seed=arguments.seed, **{name: value for name, value in given.items() if value is not None})
+    usual = STATISTICS_RECIPE if arguments.encoder == "statistics" else {}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    return Recipe(seed=arguments.seed, **{**usual, **chosen})
 
 
 def _format_record(folder: Path, record: Any) -> str:
