@@ -64,7 +64,8 @@ def add_touch_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how a touch image is decoded."""
     parser.add_argument(
         "--sensor", metavar="KIND",
-        help=f"{' or '.join(SENSORS)} (default: the calibration's, else gelsight); or {CAMERA}: a photograph, for --space",
+        help=f"{' or '.join(SENSORS)} (default: the calibration's, else gelsight); or {CAMERA}: a photograph, for "
+        "--space",
     )  # fmt: skip
     parser.add_argument("--background", type=Path, metavar="IMAGE", help="picture of the untouched sensor")
     parser.add_argument(
@@ -114,9 +115,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.sensor == CAMERA:
         if arguments.height is not None or arguments.picture is not None:
             raise UsageError("a photograph has no height: --height and --picture are for touch.", remedy="Leave them.")
-        match = describe_look(arguments.image, arguments)
-        record = {"image": str(arguments.image), "sensor": CAMERA, "space": _make_match_record(match)}
-        print(json.dumps(record, indent=1, ensure_ascii=False) if arguments.json else _format_match(record["space"]))
+        space = _make_match_record(describe_look(arguments.image, arguments))
+        record = {"image": str(arguments.image), "sensor": CAMERA, "space": space}
+        print(json.dumps(record, indent=1, ensure_ascii=False) if arguments.json else _format_match(space))
         return 0
     described = describe_touch_image(arguments.image, arguments)
     tactile_map = described.decoded.tactile_map

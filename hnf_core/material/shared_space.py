@@ -3,9 +3,9 @@
 A view of 64 pixels, a photograph's or a touch sensor's, becomes `STATISTICS_COUNT` numbers that do not depend on where
 in the view a texture lies: powers in bands of frequency and direction, how channels agree, lines, moments, and how the
 energies of octaves go together (as in the texture model of Portilla & Simoncelli 2000). A head of three layers takes
-them to a unit vector of 128 numbers; heads are trained by contrast (`hnf train alignment`), so that a look, a GelSight's
-and a DIGIT's picture of one surface become neighbours. A file holds both heads and GelSight tuples of the training
-data, with their materials and tokens: what a picture finds among them is its *bridged* token.
+them to a unit vector; heads are trained by contrast (`hnf train alignment`), so that a look, a GelSight's and a DIGIT's
+picture of one surface become neighbors. A file holds both heads and GelSight tuples of the training data, with their
+materials and tokens: what a picture finds among them is its *bridged* token.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def compute_texture_statistics(images: Single, floor: float) -> Single:
     energy -= energy.mean(axis=2, keepdims=True)
     together = (energy @ energy.transpose(0, 2, 1) / energy.shape[2])[:, *np.triu_indices(OCTAVE_COUNT)]
     parts = [mean, np.log(deviation), skewness, kurtosis, cells, *agreement, lines, circles, np.stack(shape, 1)]
-    return np.concatenate([*parts, together], axis=1).astype(np.float32)
+    return np.asarray(np.concatenate([*parts, together], axis=1), dtype=np.float32)
 
 
 @lru_cache(maxsize=1)
@@ -253,7 +253,9 @@ def load_space(path: Path) -> SharedSpace:
     if not count or not _is_index(pitch, len(PITCHES_M)) or not _is_index(tile, len(materials)):
         raise file.make_error("its tuples are not numbered right.")
     heads = {
-        head: Head({key.removeprefix(f"{head}."): value for key, value in tensors.items() if key.startswith(f"{head}.")})
+        head: Head(
+            {key.removeprefix(f"{head}."): value for key, value in tensors.items() if key.startswith(f"{head}.")}
+        )
         for head in HEADS
     }
     if any((head.tensors["scale"] <= 0.0).any() for head in heads.values()):

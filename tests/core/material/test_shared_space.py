@@ -105,7 +105,9 @@ def test_a_quarter_turn_moves_powers_by_four_of_eight_directions():
 
 def test_twice_the_contrast_is_log_4_of_power():
     views = make_views(2) - np.float32(0.4)
-    cells, doubled = (compute_texture_statistics(gain * views, 1e-6)[:, CELLS] for gain in (np.float32(1), np.float32(2)))
+    cells, doubled = (
+        compute_texture_statistics(gain * views, 1e-6)[:, CELLS] for gain in (np.float32(1), np.float32(2))
+    )
     gain = doubled - cells
     holds_waves = gain != 0.0  # the longest waves have few directions
     assert holds_waves.mean() > 0.9

@@ -1,10 +1,10 @@
 """The encoders, and the embedding of tuples: small heads on texture statistics, and ResNet-50.
 
-`StatisticsEncoder` is a head of `hnf_core.material.shared_space`, to be trained. `ResNetEncoder` has the parameter names
-of published weights; its network is that of He et al. (2016) in the form published by torchvision (stride in the 3×3 convolution), so weight
-files are interchangeable; only the last layer, `fc`, has as many outputs as the embedding space has dimensions. It is
-implemented here because the published torchvision package does not import with a torch built without CUDA. The
-embedding of a view is the mean of those of its four corner crops.
+`StatisticsEncoder` is a head of `hnf_core.material.shared_space`, to be trained. `ResNetEncoder` is that of He et al.
+(2016) in the form published by torchvision (stride in the 3×3 convolution), so weight files are interchangeable; only
+the last layer, `fc`, has as many outputs as the embedding space has dimensions. It is implemented here because the
+published torchvision package does not import with a torch built without CUDA; its embedding of a view is the mean of
+those of the four corner crops.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -110,8 +111,13 @@ class ResNetEncoder(nn.Module):
         return self.layer4(self.layer3(self.layer2(self.layer1(x)))).mean(dim=(2, 3))  # type: ignore[no-any-return]
 
     def forward(self, x: Tensor) -> Tensor:
-        point = self.fc(self.pool_features(x))
-        return functional.normalize(point.to(torch.promote_types(point.dtype, torch.float32)), dim=1)
+        return self.project(self.pool_features(x))
+
+    def project(self, features: Tensor) -> Tensor:
+        """Return the (n, outputs) unit vectors of pooled features."""
+        point = self.fc(features)
+        unit: Tensor = functional.normalize(point.to(torch.promote_types(point.dtype, torch.float32)), dim=1)
+        return unit
 
 
 @dataclass(frozen=True)
@@ -128,9 +134,9 @@ class HeadArchitecture:
         Number of times that each tuple is varied; its statistics are kept in memory.
     """
 
-    hidden: int = 512
+    hidden: int = 256
     dropout: float = 0.2
-    looks: int = 8
+    looks: int = 4
     outputs: int = EMBEDDING_SIZE
 
 
@@ -148,6 +154,7 @@ class StatisticsEncoder(nn.Module):
         self.lin0, self.bn0 = nn.Linear(STATISTICS_COUNT, hidden), nn.BatchNorm1d(hidden)
         self.lin1, self.bn1 = nn.Linear(hidden, hidden), nn.BatchNorm1d(hidden)
         self.fc = nn.Linear(hidden, architecture.outputs)
+        self.piece = nn.Linear(hidden, architecture.outputs)
         self.drop_inputs = nn.Dropout(0.5 * architecture.dropout)
         self.drop = nn.Dropout(architecture.dropout)
 
@@ -156,16 +163,30 @@ class StatisticsEncoder(nn.Module):
         self.mean.copy_(statistics.mean(dim=0))
         self.scale.copy_(statistics.std(dim=0) + 1e-4)
 
-    def forward(self, statistics: Tensor) -> Tensor:
+    def pool_features(self, statistics: Tensor) -> Tensor:
+        """Return the (n, hidden) features before the last layer."""
         x = ((statistics - self.mean) / self.scale).clamp(-LARGEST_STATISTIC, LARGEST_STATISTIC)
         x = self.drop(torch.relu(self.bn0(self.lin0(self.drop_inputs(x)))))
-        x = self.drop(torch.relu(self.bn1(self.lin1(x))))
-        return functional.normalize(self.fc(x).float(), dim=1)
+        features: Tensor = self.drop(torch.relu(self.bn1(self.lin1(x))))
+        return features
+
+    def project(self, features: Tensor) -> Tensor:
+        """Return the (n, outputs) unit vectors of features."""
+        return functional.normalize(self.fc(features), dim=1)
+
+    def project_piece(self, features: Tensor) -> Tensor:
+        """Return unit vectors (n, outputs) that are alike for views of one piece; only training uses them."""
+        return functional.normalize(self.piece(features), dim=1)
+
+    def forward(self, statistics: Tensor) -> Tensor:
+        return self.project(self.pool_features(statistics))
 
     def export(self) -> Head:
         """Return the head in numpy, batch normalisation folded into its layers."""
         tensors = {"mean": self.mean, "scale": self.scale}
-        for layer, linear, norm in zip(LAYERS, (self.lin0, self.lin1, self.fc), (self.bn0, self.bn1, None), strict=True):
+        for layer, linear, norm in zip(
+            LAYERS, (self.lin0, self.lin1, self.fc), (self.bn0, self.bn1, None), strict=True
+        ):
             weight, bias = linear.weight.detach(), linear.bias.detach()
             if norm is not None and norm.running_mean is not None and norm.running_var is not None:
                 gain = norm.weight.detach() / torch.sqrt(norm.running_var + norm.eps)
@@ -316,8 +337,15 @@ VIEWS_PER_BATCH = 128
 """Number of views embedded at once."""
 
 
-def embed_images(encoder: Encoder, tuples: Tuples, pixels: int) -> Float32:
-    """Return the (n, d) unit embeddings of the images, without augmentation."""
+class Embedding(NamedTuple):
+    """Unit vectors (n, d) of n views, and the features (n, f) before the last layer, which probes read."""
+
+    points: Float32
+    features: Float32
+
+
+def embed_images(encoder: Encoder, tuples: Tuples, pixels: int) -> Embedding:
+    """Embed the images, without augmentation."""
 
     def load_images(rows: slice) -> Float32:
         upright = np.zeros(len(tuples.row[rows]), dtype=np.int64)
@@ -326,8 +354,8 @@ def embed_images(encoder: Encoder, tuples: Tuples, pixels: int) -> Float32:
     return _embed(encoder, len(tuples), pixels, load_images, make_image_tensor, LOOK_FLOOR)
 
 
-def embed_touches(encoder: Encoder, tuples: Tuples, pixels: int, seed: int) -> Float32:
-    """Return the (n, d) unit embeddings of the touches, each with its own variation of the sensor."""
+def embed_touches(encoder: Encoder, tuples: Tuples, pixels: int, seed: int) -> Embedding:
+    """Embed the touches, each with its own variation of the sensor."""
 
     def load_touches(rows: slice) -> Float32:
         upright = np.zeros(len(tuples.row[rows]), dtype=np.int64)
@@ -345,22 +373,27 @@ def _embed(
     load_images: Callable[[slice], Float32],
     tensor: Callable[[Float32], Tensor],
     floor: float,
-) -> Float32:
+) -> Embedding:
     if not count:
-        return np.zeros((0, encoder.fc.out_features), dtype=np.float32)
-    was_training, embeddings = encoder.training, []
+        width = encoder.fc.in_features, encoder.fc.out_features
+        return Embedding(np.zeros((0, width[1]), dtype=np.float32), np.zeros((0, width[0]), dtype=np.float32))
+    was_training, points, features = encoder.training, [], []
     encoder.eval()
     is_network = isinstance(encoder, ResNetEncoder)
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=is_network):
         for first in range(0, count, VIEWS_PER_BATCH):
             views = load_images(slice(first, min(first + VIEWS_PER_BATCH, count)))
-            if isinstance(encoder, StatisticsEncoder):
-                points = encoder(torch.from_numpy(compute_texture_statistics(views, floor)))
-            else:
-                points = torch.stack([encoder(tensor(corner)) for corner in crop_corners(views, pixels)]).mean(dim=0)
-            embeddings.append(torch.nn.functional.normalize(points, dim=1).numpy())
+            inputs = (
+                [tensor(corner) for corner in crop_corners(views, pixels)]
+                if is_network
+                else [torch.from_numpy(compute_texture_statistics(views, floor))]
+            )
+            pooled = [encoder.pool_features(each) for each in inputs]
+            point = torch.stack([encoder.project(each) for each in pooled]).mean(dim=0)
+            points.append(functional.normalize(point, dim=1).numpy())
+            features.append(torch.stack(pooled).mean(dim=0).float().numpy())
     encoder.train(was_training)
-    return np.concatenate(embeddings)
+    return Embedding(np.concatenate(points), np.concatenate(features))
 
 
 def crop_corners(images: Float32, pixels: int) -> list[Float32]:

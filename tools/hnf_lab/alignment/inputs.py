@@ -287,6 +287,13 @@ def _subtract_background(pair: VisionTouchPair) -> NDArray[np.float32]:
 FOLDER_COUNTS = MappingProxyType({"pairs": 1, "tarf": 1, "touch-and-go": 1, "hatt": 2})
 """Number of folders of each kind of data; HaTT has photographs and GelSight images of its textures."""
 TRAINING_CLASSES = tuple(name for name in list_classes() if name not in UNSEEN_CLASSES)
+COMPARED_CLASSES = (
+    "oak-wood", "pine-wood", "varnished-wood", "rough-sawn-wood", "smooth-metal", "brushed-metal", "cast-metal",
+    "rusty-metal", "brass", "granite", "marble", "slate", "sandstone", "cotton-canvas", "denim", "corduroy",
+    "velvet", "silk", "wool-knit", "felt", "copy-paper", "cardboard", "smooth-plastic", "textured-plastic",
+    "ribbed-plastic", "soft-foam", "loop-carpet", "glazed-tile", "leather", "rubber", "clear-glass",
+)  # fmt: skip
+"""The 31 classes that the library had when alignment was first measured, for figures that compare with those."""
 
 
 @dataclass(frozen=True)
@@ -352,21 +359,22 @@ def open_source(sets: Sequence[Sequence[str]]) -> Source:
 
 @dataclass(frozen=True)
 class GeneratedSource:
-    """Pairs written to a folder by tools/make_tactile_pairs.py."""
+    """Pairs written to a folder by tools/make_tactile_pairs.py; other classes than `classes` have no label."""
 
     folder: Path
+    classes: tuple[str, ...] = TRAINING_CLASSES
 
     @property
     def messages(self) -> Sequence[str]:
         return ("generated pairs of this project",)
 
     def load_training(self) -> Tuples:
-        return make_training_tuples(load_pairs(self.folder, TRAIN), TRAINING_CLASSES)
+        return make_training_tuples(load_pairs(self.folder, TRAIN), self.classes)
 
     def load_held_out(self) -> HeldOutTuples:
         pairs = load_pairs(self.folder, HELD_OUT_INSTANCES)
         unseen_pairs = load_pairs(self.folder, HELD_OUT_CLASSES)
-        known = {sensor: make_test_tuples(pairs, sensor, TRAINING_CLASSES) for sensor in PAIR_SENSORS}
+        known = {sensor: make_test_tuples(pairs, sensor, self.classes) for sensor in PAIR_SENSORS}
         patch = pairs.patch[pairs.tile_index]
         return HeldOutTuples(
             known=known,

@@ -71,7 +71,7 @@ def _count_by_group(hits: Hits, group: NDArray[np.int64]) -> tuple[Float, Float]
 
 Rows = NDArray[np.int64]
 MAX_ITERATIONS = 300
-RIDGE_PENALTIES = (1e-4, 1e-3, 1e-2)
+RIDGE_PENALTIES = (1e-2, 1e-1)
 """Candidate weights of the ridge penalty."""
 
 

@@ -19,7 +19,7 @@ from hnf_core.datasets.tactile_pairs import PAIR_SENSORS
 from hnf_core.errors import FileError
 from hnf_core.files import write_text
 
-from .encoders import embed_images, embed_touches
+from .encoders import Embedding, embed_images, embed_touches
 from .inputs import HeldOutTuples, Tuples, select_labelled
 from .linear_probes import (
     HEADS,
@@ -202,36 +202,41 @@ def measure_encoders(
         If a sensor has no training tuples.
     """
     trained_on = PAIR_SENSORS if models.sensor == "both" else (models.sensor,)
-    known = _embed_sets(models, held_out.known, seed)
-    unseen = _embed_sets(models, held_out.unseen, seed)
+    points, known = _embed_sets(models, held_out.known, seed)
+    _, unseen = _embed_sets(models, held_out.unseen, seed)
     labelled = {name: tuples.select(tuples.label >= 0) for name, tuples in known.items() if (tuples.label >= 0).any()}
     sensors_to_fit = dict.fromkeys((*trained_on, *labelled)) if labelled else ()
-    fitted = _embed_sets(
+    _, fitted = _embed_sets(
         models, {name: select_labelled(training.select_sensor(name), items, seed) for name in sensors_to_fit}, seed + 1
     )
     return Measurement(
         models.sensor,
         evaluate_probes(fitted, labelled, trained_on) if labelled else {},
         cross_validate_probes(unseen, trained_on) if unseen else {},
-        {name: evaluate_retrieval(tuples) for name, tuples in known.items()},
+        {name: evaluate_retrieval(tuples) for name, tuples in points.items()},
         max(len(tuples.label) for tuples in known.values()),
         None
         if held_out.disjoint is None
-        else evaluate_cross_sensor_retrieval(*(known[name].select(held_out.disjoint[name]) for name in PAIR_SENSORS)),
+        else evaluate_cross_sensor_retrieval(*(points[name].select(held_out.disjoint[name]) for name in PAIR_SENSORS)),
     )
 
 
-def _embed_sets(models: AlignedEncoders, sets: Mapping[str, Tuples], seed: int) -> dict[str, ProbeInput]:
-    """Embed all sets; images of equal rows are embedded once."""
-    inputs: dict[str, ProbeInput] = {}
-    image_embeddings: dict[bytes, NDArray[np.float32]] = {}
+def _embed_sets(
+    models: AlignedEncoders, sets: Mapping[str, Tuples], seed: int
+) -> tuple[dict[str, ProbeInput], dict[str, ProbeInput]]:
+    """Return all sets as points of the space and as the features before it; images of equal rows are embedded once."""
+    points: dict[str, ProbeInput] = {}
+    features: dict[str, ProbeInput] = {}
+    images: dict[bytes, Embedding] = {}
     for name, tuples in sets.items():
         key = tuples.row.tobytes()
-        if key not in image_embeddings:
-            image_embeddings[key] = embed_images(models.vision, tuples, models.pixels)
+        if key not in images:
+            images[key] = embed_images(models.vision, tuples, models.pixels)
         touch = embed_touches(models.touch, tuples, models.pixels, seed)
-        inputs[name] = ProbeInput(image_embeddings[key], touch, tuples.label, tuples.group, len(tuples.classes))
-    return inputs
+        told = tuples.label, tuples.group, len(tuples.classes)
+        points[name] = ProbeInput(images[key].points, touch.points, *told)
+        features[name] = ProbeInput(images[key].features, touch.features, *told)
+    return points, features
 
 
 def evaluate_retrieval(embeddings: ProbeInput) -> dict[str, dict[int, float]]:

@@ -138,6 +138,9 @@ def freeze_running_statistics(network: nn.Module) -> Iterator[None]:
 
 
 Float = NDArray[np.float64]
+Rows = NDArray[np.int64]
+PIECE_TEMPERATURE = 0.1
+"""Temperature of the loss of views of one piece."""
 ProgressCallback = Callable[[float, float], None]
 CHECKPOINT_INTERVAL_S = 240.0
 """Time between checkpoints [s]."""
@@ -163,6 +166,9 @@ class Recipe:
         Number of steps after which training ends.
     minutes
         Time after which training ends, if earlier; the rate then follows the clock and runs are not reproducible.
+    piece_weight
+        Of heads: weight of the loss that other views of a piece are alike, for looks and for touches, beside that of
+        looks and touches. It keeps what only one of them shows, as color.
     """
 
     pixels: int = 48
@@ -175,6 +181,7 @@ class Recipe:
     steps: int | None = None
     minutes: float | None = None
     seed: int = 0
+    piece_weight: float = 0.0
     architecture: Architecture | HeadArchitecture = field(default_factory=lambda: RESNET50)
 
     def __post_init__(self) -> None:
@@ -271,6 +278,16 @@ def set_torch_threads(threads: int) -> str:
     return str(torch.__version__)
 
 
+def _index_pieces(group: Rows) -> tuple[Rows, Rows, Rows, Rows]:
+    """Return for each row where its group starts in `order`, the group's size, `order`, and the row's place in it."""
+    order = np.argsort(group, kind="stable")
+    _, index, size = np.unique(group, return_inverse=True, return_counts=True)
+    start = (np.cumsum(size) - size)[index]
+    position = np.empty(len(group), dtype=np.int64)
+    position[order] = np.arange(len(group)) - start[order]
+    return start, size[index], order, position
+
+
 class _TrainingRun:
     """State of a training."""
 
@@ -281,6 +298,7 @@ class _TrainingRun:
         self.get_look = get_look or lru_cache(partial(compute_varied_statistics, tuples, recipe.seed))
         if isinstance(self.vision, StatisticsEncoder) and isinstance(self.touch, StatisticsEncoder):
             first = self._get_look(0)
+            self.pieces = _index_pieces(tuples.group)
             self.vision.standardise(first.vision)
             self.touch.standardise(first.touch)
         self.history: list[tuple[float, float, float]] = []
@@ -299,15 +317,14 @@ class _TrainingRun:
         for group in self.optimiser.param_groups:
             group["lr"] = recipe.compute_learning_rate(progress)
         rng = np.random.default_rng([recipe.seed, 1, number])
-        chosen, is_network = self._select_rows(number), isinstance(recipe.architecture, Architecture)
-        if is_network:
-            batch = make_training_batch(self.tuples, chosen, recipe.pixels, rng)
-        else:
-            look = self._get_look(number // (len(self.tuples) // recipe.batch))
-            batch = Batch(look.vision[chosen], look.touch[chosen])
+        chosen = self._select_rows(number)
         self.optimiser.zero_grad(set_to_none=True)
-        with torch.autocast("cpu", torch.bfloat16, enabled=is_network):
-            loss = self._backward([batch.vision, batch.touch])
+        if isinstance(self.vision, StatisticsEncoder) and isinstance(self.touch, StatisticsEncoder):
+            loss = self._backward_heads((self.vision, self.touch), chosen, number, rng)
+        else:
+            batch = make_training_batch(self.tuples, chosen, recipe.pixels, rng)
+            with torch.autocast("cpu", torch.bfloat16):
+                loss = self._backward([batch.vision, batch.touch])
         self.optimiser.step()
         self.seconds += time.monotonic() - start
         self.history.append((number + 1, self.seconds, loss))
@@ -324,6 +341,31 @@ class _TrainingRun:
         value = loss(self.vision(inputs[0]), self.touch(inputs[1]))
         value.backward()  # type: ignore[no-untyped-call]
         return float(value.detach())
+
+    def _backward_heads(
+        self, heads: tuple[StatisticsEncoder, StatisticsEncoder], chosen: Rows, number: int, rng: np.random.Generator
+    ) -> float:
+        epoch, weight = number // (len(self.tuples) // self.recipe.batch), self.recipe.piece_weight
+        look = self._get_look(epoch)
+        torch.manual_seed(int(rng.integers(2**31)))  # dropout draws alike after a kill
+        features = [
+            head.pool_features(each[chosen]) for head, each in zip(heads, (look.vision, look.touch), strict=True)
+        ]
+        vision, touch = (head.project(x) for head, x in zip(heads, features, strict=True))
+        loss = compute_info_nce(vision, touch, self.recipe.temperature)
+        if weight:
+            other, partner = self._get_look(epoch + 1), self._draw_partners(chosen, rng)
+            for head, x, each in zip(heads, features, (other.vision, other.touch), strict=True):
+                alike = head.project_piece(x), head.project_piece(head.pool_features(each[partner]))
+                loss = loss + weight * compute_info_nce(*alike, PIECE_TEMPERATURE)
+        loss.backward()  # type: ignore[no-untyped-call]
+        return float(loss.detach())
+
+    def _draw_partners(self, chosen: Rows, rng: np.random.Generator) -> Rows:
+        """Return for each row another one of the same piece, or itself if there is none."""
+        start, size, order, position = self.pieces
+        step = np.where(size[chosen] > 1, rng.integers(1, np.maximum(size[chosen], 2)), 0)
+        return np.asarray(order[start[chosen] + (position[chosen] + step) % size[chosen]])
 
     def _get_look(self, epoch: int) -> Batch:
         """Return the statistics of all tuples, as they are varied in an epoch; variations come round again."""
@@ -382,7 +424,14 @@ class AlignedEncoders:
 
 
 STATISTICS_RECIPE = MappingProxyType(
-    {"pixels": VIEW_PIXELS, "batch": 1024, "chunk": 1024, "rate": 2e-3, "architecture": HeadArchitecture()}
+    {
+        "pixels": VIEW_PIXELS,
+        "batch": 1024,
+        "chunk": 1024,
+        "rate": 2e-3,
+        "piece_weight": 0.2,
+        "architecture": HeadArchitecture(),
+    }
 )
 """Settings of the recipe of heads on texture statistics."""
 
@@ -476,7 +525,7 @@ def save_shared_space(path: Path, models: AlignedEncoders, tuples: Tuples, seed:
     tiles, tile_index = np.unique(pairs.tile_index[found.row], return_inverse=True)
     space = SharedSpace(
         {name: head.export() for name, head in heads.items() if isinstance(head, StatisticsEncoder)},
-        embed_touches(models.touch, found, models.pixels, seed), pairs.pitch_index[found.row],
+        embed_touches(models.touch, found, models.pixels, seed).points, pairs.pitch_index[found.row],
         tile_index.astype(np.int64), pairs.token[tiles], tuple(pairs.class_name[tile] for tile in tiles),
         {"trained_on": models.sensor, "data": "generated pairs of this project", "seed": str(seed)},
     )  # fmt: skip

@@ -41,6 +41,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="few materials, short strokes, a few steps of training")
     parser.add_argument("--hatt", type=Path, metavar="DIR", help="your copy of the Penn Haptic Texture Toolkit")
     parser.add_argument("--weights", type=Path, metavar="FILE", help="the shared field (default: the shipped one)")
+    parser.add_argument("--space", type=Path, metavar="FILE", help="space.safetensors, for the row of bridged tokens")
     parser.add_argument("--methods", nargs="+", metavar="KEY", help="only these (an unknown one lists them)")
     parser.add_argument("--materials", nargs="+", metavar="NAME", help="library materials for columns a and b")
     parser.add_argument("--textures", type=int, default=3, metavar="N", help="of HaTT, to train on (default 3)")
@@ -76,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         hatt=arguments.hatt,
         seed=arguments.seed,
         workers=arguments.workers,
+        space=arguments.space,
         simulated=SIMULATED_MATERIALS if arguments.materials is None else tuple(arguments.materials),
     )
     sizes = replace(

@@ -31,8 +31,8 @@ def add_parser(subjects: Any) -> None:
     parser.add_argument("--sensor", choices=["gelsight", "digit", "both"], default="both", help="whose tuples")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into")
     parser.add_argument(
-        "--encoder", choices=["statistics", "resnet50"], default="statistics",
-        help="small heads on texture statistics (default), or the paper's networks, which take hours",
+        "--encoder", choices=["statistics", "resnet50"],
+        help="small heads on texture statistics (default), or the paper's networks, which take hours (with --trunk)",
     )  # fmt: skip
     parser.add_argument("--minutes", type=float, metavar="N", help="of training; the learning rate follows the clock")
     parser.add_argument("--steps", type=int, metavar="N", help="of training; equal seeds then give equal weights")
@@ -66,9 +66,11 @@ def run(arguments: argparse.Namespace) -> int:
     from ..alignment.train import SPACE_FILE, fit_encoders, load_encoders, save_encoders, save_shared_space
     from ..encoder.network import read_state_dict
 
+    if arguments.trunk is not None:
+        if arguments.encoder == "statistics":
+            raise UsageError("--trunk is a ResNet-50's.", remedy="Give --encoder resnet50.")
+        arguments.encoder = "resnet50"
     recipe = make_recipe(arguments)
-    if arguments.trunk is not None and arguments.encoder != "resnet50":
-        raise UsageError("a trunk is a ResNet-50's.", remedy="Give --encoder resnet50.")
     start = None
     if arguments.trunk is not None:
         start, _ = read_state_dict(arguments.trunk, "resnet50")
@@ -113,7 +115,11 @@ def make_recipe(arguments: argparse.Namespace) -> Recipe:
     given = {name: getattr(arguments, name) for name in ("pixels", "batch", "chunk", "rate", "minutes", "steps")}
     if given["batch"] is not None and given["chunk"] is None:
         given["chunk"] = given["batch"]
-    usual = STATISTICS_RECIPE if arguments.encoder == "statistics" else {}
+    usual = {} if arguments.encoder == "resnet50" else STATISTICS_RECIPE
+    if usual and (arguments.pixels, arguments.chunk) != (None, None):
+        raise UsageError(
+            "--pixels and --chunk are a ResNet-50's.", remedy="Give --encoder resnet50, or leave them out."
+        )
     chosen = {name: value for name, value in given.items() if value is not None}
     return Recipe(seed=arguments.seed, **{**usual, **chosen})
 

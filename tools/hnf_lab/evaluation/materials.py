@@ -19,17 +19,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.synthetic_actions import make_steady_action
+from hnf_core.datasets.pair_generation import compute_slopes
 from hnf_core.datasets.recording import ActionRange, Recording, TextureProcess
 from hnf_core.datasets.registry import open_dataset
 from hnf_core.datasets.simulated import SimulatedLibrary
 from hnf_core.errors import HnfError
 from hnf_core.material.band_descriptor import describe
 from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
+from hnf_core.material.encoder_registry import describe_views, get_default_encoder
 from hnf_core.material.library import get_material
+from hnf_core.material.shared_space import SharedSpace, find_touch, load_space
+from hnf_core.material.token import ENCODER_NAMES
 from hnf_core.metrics.spectra import select_compared_bins, welch
+from hnf_core.simulation.appearance.albedo import compute_cavity_depth, render_albedo
+from hnf_core.simulation.appearance.instance import sample_appearance
+from hnf_core.simulation.appearance.shading import compute_ambient_occlusion, sample_light, shade_surface
+from hnf_core.simulation.material_classes import CLASS_ENTRIES, get_category
 from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map
+from hnf_core.tactile.diffusion.predict import predict_tactile_maps
+from hnf_core.tactile.diffusion.weights import load_map_weights
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.optics import SENSORS
+from hnf_core.tactile.tactile_map import Route
+from hnf_core.tactile.views import cut_views
 
 from ..baselines.interface import FittedMaterial, MaterialRecordings, Method
 from .methods import Budget, FittedField, MethodEntry, SharedField, select_entries
@@ -351,6 +363,8 @@ class EvaluationJob:
         Position of the material in the run, from 0.
     directions
         True to measure spectra by direction as well.
+    space
+        File of a shared space, which gives bridged tokens, or None.
     """
 
     kind: str
@@ -362,13 +376,15 @@ class EvaluationJob:
     budget: Budget
     seed: int
     directions: bool = False
+    space: Path | None = None
 
 
 @dataclass(frozen=True)
 class JobResult:
     """Result of an EvaluationJob.
 
-    sensors: touch sensor → the shared field's cells with that sensor's token, on the strokes of the first column.
+    sensors: touch sensor, "predicted map" or "bridged" → the shared field's cells with the token from there, on the
+    strokes of the first column.
     """
 
     job: EvaluationJob
@@ -424,23 +440,60 @@ def run_jobs(jobs: Sequence[EvaluationJob], workers: int, watch: Callable[[str],
 
 
 def _score_by_sensor(job: EvaluationJob, result: MaterialResult) -> dict[str, list[Cell]]:
-    """Score the shared field with the tokens that E computes from each sensor's image of one height map."""
+    """Score the shared field with tokens of one height map: of each sensor's image, of a look, and bridged ones."""
     material = get_material(job.name)
     references = result.references["window"]
     shared = select_entries(["shared"])[0].build(job.budget)
     assert isinstance(shared, SharedField)
     cells = {}
-    for sensor, token in describe_sensor_tokens(job.name).items():
+    tokens = describe_sensor_tokens(job.name) | {PREDICTED_MAP: describe_look_token(job.name, job.seed)}
+    if job.space is not None:
+        tokens[BRIDGED] = describe_bridged_token(job.name, load_space(job.space))
+    for sensor, token in tokens.items():
         fitted = shared.fit(MaterialRecordings(material.name, (), token, material.mechanics), job.seed)
         cells[sensor] = score_method(shared, fitted, references, job.sizes.renders, job.seed)
     return cells
 
 
+LOOK_VIEWS = 8
+"""Number of views of a photograph at the finest scale that D_φ predicts touch for."""
+PREDICTED_MAP, BRIDGED = "predicted map", "bridged"
+"""Token sources beside the sensors."""
+PITCH_M = TILE_SIZE_M / TILE_PIXELS
+
+
+def _make_height(name: str) -> NDArray[np.float32]:
+    material = get_material(name)
+    return height_map(SurfaceRecipe.from_dict(material.recipe), material.seed)
+
+
 def describe_sensor_tokens(name: str) -> dict[str, NDArray[np.float32]]:
     """Return the token that E computes from each sensor's image of one height map of a library material."""
-    material = get_material(name)
-    height = height_map(SurfaceRecipe.from_dict(material.recipe), material.seed)
-    pitch = TILE_SIZE_M / TILE_PIXELS
+    height = _make_height(name)
     return {
-        sensor: describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch, sensor)).values for sensor in SENSORS
+        sensor: describe(tactile_map_from_height(height, None, PITCH_M, 2.0 * PITCH_M, sensor)).values
+        for sensor in SENSORS
     }
+
+
+def describe_bridged_token(name: str, space: SharedSpace) -> NDArray[np.float32]:
+    """Return the mean token of the GelSight tuples that the DIGIT's image of the height map finds."""
+    return find_touch(
+        space, tactile_map_from_height(_make_height(name), None, PITCH_M, 2.0 * PITCH_M, "digit")
+    ).token.values
+
+
+def describe_look_token(name: str, seed: int) -> NDArray[np.float32]:
+    """Return E's token of the tactile maps that D_φ predicts from a lit photograph of the height map."""
+    recipe, rng = SurfaceRecipe.from_dict(get_material(name).recipe), np.random.default_rng([6, seed])
+    appearance = sample_appearance(CLASS_ENTRIES[name].appearance, get_category(name), rng)
+    spectrum = np.fft.rfft2(_make_height(name))
+    cavity_m = compute_cavity_depth(spectrum, TILE_PIXELS, TILE_SIZE_M, appearance.reach_m)
+    photograph = shade_surface(
+        render_albedo(recipe, spectrum, appearance, TILE_SIZE_M, rng),
+        *compute_slopes(spectrum, TILE_PIXELS, PITCH_M, 0.0), sample_light(rng), roughness=appearance.roughness,
+        metallic=appearance.metallic, occlusion=compute_ambient_occlusion(cavity_m, appearance.reach_m),
+    )  # fmt: skip
+    views = cut_views(np.clip(photograph, 0.0, 1.0), None, None, PITCH_M, 2.0 * PITCH_M, fine_count=LOOK_VIEWS)
+    maps = predict_tactile_maps(load_map_weights(), views, "gelsight", seed=range(seed, seed + len(views)))
+    return describe_views(get_default_encoder(Route.PREDICTED, ENCODER_NAMES), maps).values

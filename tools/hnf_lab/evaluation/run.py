@@ -26,13 +26,12 @@ from hnf_core.field.weights import HELD_OUT_WEIGHTS, load_field
 from hnf_core.files import write_text
 
 from .held_out import find_held_out_names, make_held_out_table, measure_known_material
-from .materials import DirectionSpectra, EvaluationJob, EvaluationSizes, JobResult, make_column, run_jobs
+from .materials import BRIDGED, DirectionSpectra, EvaluationJob, EvaluationSizes, JobResult, make_column, run_jobs
 from .methods import Budget, select_entries
 from .plots import plot_directions, plot_spectra
 from .report import Cell, Column, ExtraTable, Report, format_report, summarise
 
 SENSOR_LABELS = {"gelsight": "GelSight", "digit": "DIGIT"}
-UNSUPPORTED_SOURCES = {"predicted map": "not yet: needs D_φ", "bridged": "not yet: needs bridging"}
 SENSOR_METRICS = {
     "st_sim_tum": "ST-SIM TUM ↑",
     "st_sim_cosine": "ST-SIM cosine ↑",
@@ -47,7 +46,7 @@ SENSOR_METRICS = {
 def make_sensor_table(results: Sequence[JobResult]) -> ExtraTable:
     """Build the paper's table: the shared field with tokens of each sensor.
 
-    Token sources that are not available have a row with the reason.
+    Without a shared space, the row of bridged tokens says so.
     """
     cells: dict[str, list[Cell]] = {}
     for result in results:
@@ -58,12 +57,14 @@ def make_sensor_table(results: Sequence[JobResult]) -> ExtraTable:
         (SENSOR_LABELS.get(sensor, sensor), *(f"{summary[name]['median']:.3g}" for name in SENSOR_METRICS))
         for sensor, summary in figures.items()
     ]
-    rows += [(source, reason, *["–"] * (len(SENSOR_METRICS) - 1)) for source, reason in UNSUPPORTED_SOURCES.items()]
+    if BRIDGED not in figures:
+        rows.append((BRIDGED, "needs --space FILE", *["–"] * (len(SENSOR_METRICS) - 1)))
     return ExtraTable(
         "token_source",
         "Token source (shared field, held-out windows)",
         "The paper's columns. Token = E of each sensor's image, by its optics model, of one and the same height map. "
-        "Neither sensor is noisy, and E undoes the optics: they can differ only where the gels do.",
+        "Neither sensor is noisy, and E undoes the optics: they can differ only where the gels do. Predicted map: "
+        "of D_φ, from a lit photograph of the same heights. Bridged: of GelSight tuples that the DIGIT's image finds.",
         ("token from", *SENSOR_METRICS.values()),
         tuple(rows),
         figures,
@@ -108,6 +109,8 @@ class EvaluationOptions:
         Training budget and weights of the shared field; without weights the shipped ones are used.
     workers
         Number of worker processes.
+    space
+        File of a shared space for bridged tokens, or None.
     """
 
     out: Path
@@ -117,6 +120,7 @@ class EvaluationOptions:
     hatt: Path | None = None
     seed: int = 0
     workers: int = 2
+    space: Path | None = None
     simulated: tuple[str, ...] = SIMULATED_MATERIALS
 
 
@@ -185,7 +189,16 @@ def _make_jobs(options: EvaluationOptions, hatt: DataSet | None) -> list[Evaluat
 
     def job(kind: str, name: str, index: int, directions: bool = False) -> EvaluationJob:
         return EvaluationJob(
-            kind, name, options.hatt, index, keys, options.sizes, options.budget, options.seed + 10 * index, directions
+            kind,
+            name,
+            options.hatt,
+            index,
+            keys,
+            options.sizes,
+            options.budget,
+            options.seed + 10 * index,
+            directions,
+            options.space,
         )
 
     names = options.simulated[-options.sizes.simulated :]

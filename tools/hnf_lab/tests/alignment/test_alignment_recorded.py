@@ -109,7 +109,8 @@ def test_the_words_take_copies(tmp_path: Path, monkeypatch, capsys) -> None:
         return main([str(word) for word in words], lambda arguments: 1)
 
     out = tmp_path / "out"
-    assert hnf("train", "alignment", *data, "--steps", 2, "--batch", 16, "--pixels", 32, "--out", out, "--json") == 0
+    quick = ("--steps", 2, "--batch", 16, "--encoder", "resnet50", "--pixels", 32)
+    assert hnf("train", "alignment", *data, *quick, "--out", out, "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert (record["sensor"], record["tuples"]) == ("both", 63)
     assert hnf("eval", "alignment", *data, "--models", out, "--items", 30, "--json") == 0

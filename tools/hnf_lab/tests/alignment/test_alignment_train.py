@@ -17,10 +17,18 @@ from safetensors.torch import save_file
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, UsageError, WeightsError
 from hnf_lab.alignment import train
-from hnf_lab.alignment.encoders import Architecture, ResNetEncoder, embed_images, embed_touches
+from hnf_core.material.shared_space import load_space
+from hnf_lab.alignment.encoders import (
+    Architecture,
+    HeadArchitecture,
+    ResNetEncoder,
+    compute_varied_statistics,
+    embed_images,
+    embed_touches,
+)
 from hnf_lab.alignment.inputs import open_source
 from hnf_lab.alignment.results import compute_recall
-from hnf_lab.alignment.train import Recipe, fit_encoders, load_encoders, save_encoders
+from hnf_lab.alignment.train import Recipe, fit_encoders, load_encoders, save_encoders, save_shared_space
 
 TINY = Architecture((1, 1, 1, 1), 4, 8)
 RECIPE = Recipe(pixels=32, batch=16, chunk=16, steps=6, rate=3e-3, architecture=TINY)
@@ -57,8 +65,53 @@ def test_the_right_touch_is_found_after_training(tuples, chunk: int) -> None:
     assert losses[-10:].mean() < np.log(16) - 0.1  # what knowing nothing costs
     assert fitted.history[:, 0].tolist() == list(range(1, 61))
     assert not fitted.vision.training
-    looks, touches = embed_images(fitted.vision, tuples, 32), embed_touches(fitted.touch, tuples, 32, 0)
+    looks, touches = embed_images(fitted.vision, tuples, 32).points, embed_touches(fitted.touch, tuples, 32, 0).points
     assert compute_recall(looks, touches, (10,))[10] > 0.19  # chance 0.10, three deviations 0.09
+
+
+HEADS = replace(RECIPE, pixels=64, steps=40, piece_weight=0.2, architecture=HeadArchitecture(32, looks=2))
+
+
+@pytest.fixture(scope="module")
+def heads(tuples):
+    return fit_encoders(tuples, HEADS)
+
+
+def test_heads_on_statistics_find_the_right_touch_and_go_on_after_a_kill(tuples, heads, tmp_path, monkeypatch) -> None:
+    looks, touches = embed_images(heads.vision, tuples, 64), embed_touches(heads.touch, tuples, 64, 0)
+    assert compute_recall(looks.points, touches.points, (10,))[10] > 0.25  # chance 0.10
+    assert looks.features.shape == (len(tuples), 32)
+    monkeypatch.setattr(train, "CHECKPOINT_INTERVAL_S", 0.0)
+
+    def kill_later(progress: float, loss: float) -> None:
+        if progress > 0.4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_encoders(tuples, HEADS, tmp_path / "checkpoint", kill_later)
+    assert_same(weights(heads), weights(fit_encoders(tuples, HEADS, tmp_path / "checkpoint")))
+
+
+def test_the_space_is_the_heads_without_torch(tuples, heads, tmp_path: Path) -> None:
+    save_encoders(tmp_path, heads, HEADS, {"sensor": "both"})
+    models = load_encoders(tmp_path)
+    assert save_shared_space(tmp_path / "space.safetensors", models, tuples)
+    space = load_space(tmp_path / "space.safetensors")
+    touch = embed_touches(models.touch, tuples, 64, 0).points
+    found = (tuples.label >= 0) & (tuples.sensor == 0)
+    assert len(space.points) == found.sum()
+    statistics = compute_varied_statistics(tuples, 0, 0)
+    with torch.no_grad():
+        there = {"vision": models.vision(statistics.vision), "touch": models.touch(statistics.touch)}
+    for name, inputs in (("vision", statistics.vision), ("touch", statistics.touch)):
+        here = space.heads[name].embed(inputs.numpy())
+        assert np.sum(here * there[name].numpy(), axis=1).min() > 0.9995  # weights are stored in half precision
+    assert touch.shape[1] == space.points.shape[1]
+    network = fit_encoders(tuples, replace(RECIPE, steps=1))
+    assert not save_shared_space(
+        tmp_path / "none.safetensors", replace(models, vision=network.vision, touch=network.touch), tuples
+    )
+    assert not (tmp_path / "none.safetensors").exists()
 
 
 def test_equal_seeds_give_equal_weights_and_others_do_not(tuples) -> None:
@@ -134,7 +187,7 @@ def hnf(*words: object) -> int:
 
 def test_the_words_train_and_judge(folder: Path, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(train, "RESNET50", TINY)
-    quick = ("--data", folder, "--steps", "2", "--batch", "16", "--pixels", "32", "--json")
+    quick = ("--data", folder, "--steps", "2", "--batch", "16", "--pixels", "32", "--encoder", "resnet50", "--json")
     trunk = tmp_path / "trunk.safetensors"
     save_file(ResNetEncoder(TINY).state_dict(), trunk)
     for sensor, more in (("gelsight", ()), ("both", ("--trunk", trunk))):
@@ -171,5 +224,7 @@ def test_wrong_words_are_told(folder: Path, tmp_path: Path, capsys) -> None:
     assert hnf("train", "alignment", "--data", folder, "--steps", "1", "--trunk", tmp_path / "trunk.pth", *out) == 1
     assert "torchvision.models.resnet50(" in capsys.readouterr().err
     assert hnf("train", "alignment", "--data", folder, "--minutes", "0", *out) == 2
+    assert hnf("train", "alignment", "--data", folder, "--steps", "1", "--pixels", "48", *out) == 2
+    assert "are a ResNet-50's" in capsys.readouterr().err
     assert hnf("eval", "alignment", "--models", tmp_path / "none") == 1
     assert hnf("eval", "alignment", "--models", tmp_path, "--items", "3") == 2

@@ -34,15 +34,14 @@ def test_the_record_has_every_column_row_and_reason(folder: Path) -> None:
         assert oracle["mse_oracle"]["mean"] == pytest.approx(1.0, abs=0.5)
         assert column["rows"][1]["summary"]["mse_best"]["median"] == 1.0
     extras = {extra["key"]: extra for extra in record["extras"]}
-    assert set(extras["token_source"]["figures"]) == {"gelsight", "digit"}
+    assert set(extras["token_source"]["figures"]) == {"gelsight", "digit", "predicted map"}
     assert set(extras["direction"]["figures"]["ratio_error_db"]) == {"shared", "playback"}
     assert any("--hatt" in note for note in record["notes"])
 
 
 def test_the_page_prints_no_number_for_what_does_not_exist(folder: Path) -> None:
     text = (folder / "eval.md").read_text(encoding="utf-8")
-    assert "| predicted map | not yet: needs D_φ | – |" in text
-    assert "| bridged | not yet: needs bridging | – |" in text
+    assert "| bridged | needs --space FILE | – |" in text
     assert "Expected-magnitude forms: for benchmarks" in text
     for picture in folder.glob("*.png"):
         assert f"({picture.name})" in text
