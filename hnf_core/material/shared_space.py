@@ -277,7 +277,7 @@ FINE_VIEWS = 16
 
 @dataclass(frozen=True)
 class SpaceMatch:
-    """What a picture finds in a space.
+    """Tuples that a picture finds in a space.
 
     Attributes
     ----------

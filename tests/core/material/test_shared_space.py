@@ -82,7 +82,7 @@ def space() -> SharedSpace:
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-6, 1.0, 1e3]), st.sampled_from([LOOK_FLOOR, TOUCH_FLOOR]))
-def test_statistics_are_finite_and_brightness_shows_in_the_mean_alone(seed, contrast, floor):
+def test_statistics_are_finite_and_brightness_is_in_the_mean(seed, contrast, floor):
     views = np.float32(contrast) * (make_views(seed, 1) - np.float32(0.4))
     first = compute_texture_statistics(views, floor)
     assert first.shape == (1, STATISTICS_COUNT)

@@ -6,7 +6,7 @@
 Needs the extra "train" and the pairs of tools/make_tactile_pairs.py. Each single sensor gets a quarter of the steps or
 minutes and both together get half, so that each training uses a sensor's tuples equally often. Finished parts, and the
 statistics of varied tuples, are not computed again. Weights stay in the folder; the record, with their checksums, is
-committed.
+committed. Probes and search are of the 31 classes of `COMPARED_CLASSES`; the encoders train on all, without labels.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -33,7 +32,6 @@ from hnf_lab import ROOT
 from ..alignment.encoders import Batch, compute_varied_statistics
 from ..alignment.inputs import (
     COMPARED_CLASSES,
-    TRAINING_CLASSES,
     GeneratedSource,
     HeldOutTuples,
     Tuples,
@@ -59,8 +57,6 @@ from ..alignment.train import (
 )
 from ..cli.train_alignment import CHECKPOINT, make_recipe
 
-CLASS_SETS = {"31": COMPARED_CLASSES, "all": TRAINING_CLASSES}
-"""Classes that probes and retrieval are measured on; the encoders are trained on all, without labels."""
 BUDGET_SHARES = {"gelsight": 0.25, "digit": 0.25, "both": 0.5}
 """Fraction of the steps or the time for each training."""
 
@@ -167,22 +163,16 @@ def main() -> int:
             models.append(load_or_train(folder, sensor, training, recipe, arguments.threads, cache))
     if arguments.only is not None:
         return 0
-    record: dict[str, Any] = {"models": [dict(encoders.record) for encoders in models]}
-    texts = []
-    for name, classes in CLASS_SETS.items():
-        labelled = GeneratedSource(arguments.data, classes)
-        held_out, tuples = labelled.load_held_out(), labelled.load_training()
-        results = [
-            load_or_measure(
-                arguments.out / encoders.sensor / f"measured-{name}.json", encoders, tuples, held_out, arguments.seed
-            )
-            for encoders in models
-        ]
-        report = make_report(results, compute_chance_levels(held_out))
-        record[name] = report.to_json()
-        texts.append(f"**{len(classes)} classes**\n\n{format_report(report)}")
+    labelled = GeneratedSource(arguments.data, COMPARED_CLASSES)
+    held_out, tuples = labelled.load_held_out(), labelled.load_training()
+    results = [
+        load_or_measure(arguments.out / encoders.sensor / "measured.json", encoders, tuples, held_out, arguments.seed)
+        for encoders in models
+    ]
+    report = make_report(results, compute_chance_levels(held_out))
+    record = {**report.to_json(), "models": [dict(encoders.record) for encoders in models]}
     write_text(arguments.record, json.dumps(record, indent=1) + "\n")
-    print("\n".join(texts))
+    print(format_report(report))
     return 0
 
 

@@ -16,8 +16,8 @@ from safetensors.torch import save_file
 
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, UsageError, WeightsError
-from hnf_lab.alignment import train
 from hnf_core.material.shared_space import load_space
+from hnf_lab.alignment import train
 from hnf_lab.alignment.encoders import (
     Architecture,
     HeadArchitecture,
@@ -77,7 +77,7 @@ def heads(tuples):
     return fit_encoders(tuples, HEADS)
 
 
-def test_heads_on_statistics_find_the_right_touch_and_go_on_after_a_kill(tuples, heads, tmp_path, monkeypatch) -> None:
+def test_heads_find_the_right_touch_and_survive_a_kill(tuples, heads, tmp_path, monkeypatch) -> None:
     looks, touches = embed_images(heads.vision, tuples, 64), embed_touches(heads.touch, tuples, 64, 0)
     assert compute_recall(looks.points, touches.points, (10,))[10] > 0.25  # chance 0.10
     assert looks.features.shape == (len(tuples), 32)
