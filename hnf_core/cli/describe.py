@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from ..datasets.ball_calibration import BALL_RADIUS_M, calibrate, read_press_folder
 from ..datasets.vision_touch import read_photograph, read_touch_image
-from ..errors import FileError, HnfError, UsageError
-from ..files import write_atomically, write_bytes
+from ..errors import HnfError, UsageError
+from ..files import write_bytes
 from ..material.band_descriptor import describe
 from ..material.fuse import find_significant_bands
 from ..material.library import Appearance, load_library
