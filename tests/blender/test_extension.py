@@ -114,7 +114,7 @@ def test_the_validator_can_refuse(archive: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(archive) as zipped:
         manifest = zipped.read("blender_manifest.toml").decode()
     (tmp_path / "__init__.py").touch()
-    (tmp_path / "blender_manifest.toml").write_text(manifest.replace("Touch a scene", "x" * 80))
+    (tmp_path / "blender_manifest.toml").write_text(re.sub(r'tagline = "[^"]*"', f'tagline = "{"x" * 80}"', manifest))
     with pytest.raises(build_extension.BuildError, match="tagline"):
         build_extension.run_blender_tool("validate", str(tmp_path))
 

@@ -14,15 +14,17 @@ from __future__ import annotations
 import base64
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.errors import SceneError
-from hnf_core.material.palette import Palette
 
 from ... import compat
+
+if TYPE_CHECKING:
+    from hnf_core.material.palette import Palette
 
 
 def set_property(block: Any, name: str, value: bytes | str | int) -> None:
@@ -153,6 +155,8 @@ def read_tokens(mesh: Any) -> FaceTokens | None:
         )
     ):
         return None
+    from hnf_core.material.palette import Palette  # here, as it is not needed to switch the add-on on
+
     return FaceTokens(
         palette=Palette.from_bytes(bytes(mesh[PALETTE_PROPERTY])),
         index=_read_attribute(mesh, TOKEN_ATTRIBUTE, np.int32),
