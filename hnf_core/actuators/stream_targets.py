@@ -98,7 +98,7 @@ def parse_target(text: str) -> Target:
             channel_map, rest = tuple(map(int, last.split(","))), device
             if 0 in channel_map or len(set(channel_map)) < len(channel_map):
                 raise _make_target_error(text, "audio:DEVICE:3,4, each output channel once, counted from 1")
-        return AudioTarget((int(rest) if re.fullmatch("[0-9]{1,6}", rest) else rest) or None, channel_map)
+        return AudioTarget(int(rest) if re.fullmatch("[0-9]{1,6}", rest) else rest or None, channel_map)
     if kind == "serial":
         port, at, baud = rest.rpartition("@")
         if not at:

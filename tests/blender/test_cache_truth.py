@@ -247,15 +247,15 @@ def test_equal_surfaces_share_a_close_up(job) -> None:
 
 
 def test_notes_say_the_names_of_now(job, tmp_path) -> None:
-    """A picture of slopes that is not marked as data is noted by its name."""
+    """A picture of slopes that is not marked as data is noted by its name. A rename alone asks for no new bake."""
     made = plate().data.materials[0].node_tree.nodes.new("ShaderNodeNormalMap")
     picture = add_picture(write_picture(tmp_path / "worn.bmp", 0.2))
     links, shader = made.id_data.links, made.id_data.nodes["Principled BSDF"]
     links.new(picture.outputs[0], made.inputs["Color"])
     links.new(made.outputs[0], shader.inputs["Normal"])
     picture.image.colorspace_settings.name = "sRGB"
-    for name in ("old name", "new name"):
-        picture.image.name = name
+    for roughness, name in ((0.4, "old name"), (0.6, "new name")):
+        shader.inputs["Roughness"].default_value, picture.image.name = roughness, name
         ended = bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
         assert [f"'{name}'" in each for each in ended.details if "tagged sRGB" in each] == [True]
 

@@ -24,7 +24,7 @@ def test_the_child_and_its_twin_in_line_give_equal_bytes(lone_bake) -> None:
     assert bpy.ops.hnf.bake() == {"FINISHED"}
     in_line = kept()
     assert list(in_line["bakes"]) == ["Along"]
-    assert "predicted" in STATE.get_statuses(bpy.context.scene)["Along"].routes
+    assert "prior" in STATE.get_statuses(bpy.context.scene)["Along"].routes
     assert bpy.ops.hnf.purge(what="ALL") == {"FINISHED"}
     assert kept() == NOTHING
     shutil.rmtree(lone_bake)

@@ -264,15 +264,20 @@ def test_a_measured_relief_is_evidence_until_a_material_change() -> None:
     assert STATE.reliefs == {}
 
 
-def test_the_surface_key_depends_on_image_names(tmp_path) -> None:
+def test_picture_names_count_by_what_they_say(tmp_path) -> None:
+    """The surface is the same; that another material is meant is known apart, so that a rename silences nothing."""
     made = textured("Material", "T_Oak_Planks_BaseColor.png")
     plane = touched(made)
 
-    def key() -> str:
+    def hash_inputs():
         bpy.context.view_layer.update()
-        return make_scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path).compute_surface_key(plane)
+        session = make_scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
+        return session._hash_inputs(plane.name, "", "", "")
 
-    before = key()
-    assert key() == before
-    bpy.data.images["T_Oak_Planks_BaseColor.png"].name = "T_Steel.png"
-    assert key() != before
+    before = hash_inputs()
+    bpy.data.images["T_Oak_Planks_BaseColor.png"].name = "T_Oak_Planks_BaseColor.001"
+    assert hash_inputs() == before
+    bpy.data.images["T_Oak_Planks_BaseColor.001"].name = "T_Steel.png"
+    after = hash_inputs()
+    assert after.names != before.names
+    assert after.surface_key == before.surface_key

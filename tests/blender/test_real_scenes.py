@@ -59,8 +59,7 @@ def test_the_routes_show_what_the_maps_resolve(touched) -> None:
     _, report, _, materials = touched
     for entry in report["strokes"]:
         fine = [entry["routes"][band] for band in ("1 mm", "0.5 mm", "0.25 mm", "0.125 mm")]
-        finest = "predicted" if materials is CHAIR and entry["material"] == "label" else "prior"  # two texels: 0.7 mm
-        assert fine == [finest, "prior", "prior", "prior"], entry["name"]
+        assert fine == ["prior"] * 4, entry["name"]
         resolved_mm = 1e3 * (entry["resolved_wavelength_m"] or math.inf)
         for band, route in entry["routes"].items():
             shortest_mm = float(band.removesuffix(" mm")) / math.sqrt(2.0)
@@ -77,11 +76,12 @@ def test_photos_without_relief_are_read_where_they_show_enough(touched) -> None:
     _, report, _, materials = touched
     if materials is HELMET:
         return
-    routes = {entry["material"]: set(entry["routes"].values()) for entry in report["strokes"]}
-    assert {name for name, found in routes.items() if "predicted" in found} == {"wood Brown", "label"}
+    read = {entry["material"] for entry in report["strokes"] if entry["height_source"]}
+    assert read == {"wood Brown", "label"}
     for entry in report["strokes"]:
-        if "predicted" in routes[entry["material"]]:
-            assert [entry["routes"][band] for band in ("8 mm", "4 mm", "2 mm")] == ["predicted"] * 3
+        if entry["material"] in read:
+            # By the measured errors of the network what it predicts there says no more than the material's own prior.
+            assert set(entry["routes"].values()) == {"prior"}
             assert entry["height_source"].startswith("estimated from image 'SheenChair")
             assert 0.5e-3 < entry["resolved_wavelength_m"] < 1e-3
         else:

@@ -103,7 +103,7 @@ def test_a_check_that_crashes_hangs_or_finds_nothing_is_an_error(
 
 
 @pytest.mark.parametrize("crashes", [1, 2])
-def test_an_old_blender_that_crashed_is_run_once_more_and_says_so(
+def test_an_old_blender_that_crashed_is_run_once_more(
     crashes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_tests, "RESULTS", tmp_path)

@@ -63,7 +63,7 @@ def test_alone_it_shows_what_there_is_and_how_to_begin(capsys: pytest.CaptureFix
     [
         ("probe", "hnf touch SCENE --out DIR --at OBJECT:u,v"),
         ("toch", "Did you mean 'touch'?"),
-        ("xyzzy", "Commands: touch, synth, "),
+        ("xyzzy", "Commands: touch, views, synth, "),
     ],
 )
 def test_a_command_that_is_none_is_answered_with_what_does_it(

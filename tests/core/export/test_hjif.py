@@ -238,7 +238,7 @@ def test_transients_and_library_effects_of_others(tmp_path: Path) -> None:
         (lambda tree: tree["perceptions"].clear(), "0 channels"),
         (lambda tree: tree["perceptions"].append(tree["perceptions"][0]), "2 channels"),
         (lambda tree: tree.update(timescale=0), "timescale"),
-        (lambda tree: tree["perceptions"][0].pop("effect_library"), "effect_library"),
+        (lambda tree: tree["perceptions"][0].update(effect_library=3), "effect_library"),
         (lambda tree: _band(tree).update(band_type="WaveletWave"), "WaveletWave"),
         (lambda tree: _band(tree).update(curve_type="Akima"), "Akima"),
         (lambda tree: _band(tree).update(effects=[3]), "no object"),

@@ -158,6 +158,7 @@ def test_a_hand_feels_the_field_that_a_material_brings() -> None:
 
 def test_external_training_packages_match_the_project_pins() -> None:
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    pinned = {*project["dependencies"], *project["optional-dependencies"]["train"]}
+    constraints = Path(__file__).parents[3] / "tools" / "requirements" / "constraints.txt"
+    pinned = {*project["dependencies"], *constraints.read_text(encoding="utf-8").splitlines()}
     assert set(TRAINING_PACKAGES.values()) <= pinned
     assert project["requires-python"] == ">=" + ".".join(map(str, MIN_TRAINING_PYTHON))
