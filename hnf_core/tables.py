@@ -77,8 +77,10 @@ def read_text(path: Path) -> str:
 def decode_text(data: bytes, where: str) -> str:
     """Return the text of a file: UTF-8, or else Windows-1252, as Excel saves tables on Windows.
 
-    Raises FileError, with the file's name `where`, if it is neither.
+    Raises FileError, with the file's name `where`, if it is neither, or too large.
     """
+    if len(data) > MAX_FILE_BYTES:
+        raise FileError("too large for a recording.", where=where, remedy=_TABLE_REMEDY)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:

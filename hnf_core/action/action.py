@@ -7,6 +7,7 @@ between its rows does not alias to a tone.
 from __future__ import annotations
 
 import csv
+import io
 from array import array
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..errors import FileError, StrokeError
 from ..files import write_text
-from ..tables import parse_columns, read_text
+from ..tables import MAX_FILE_BYTES, decode_text, parse_columns
 
 ACTION_RATE_HZ = 200.0
 """Rate at which the field is evaluated and then interpolated [Hz]; an artist's stroke has nothing above about 20 Hz."""
@@ -278,13 +279,15 @@ def read_action_csv(
     """
     lines: Sequence[int] = ()
     try:
-        with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
-            titles = {cell.strip() for cell in stream.readline(MAX_HEADER_LENGTH).split(",")}
-        if not titles.issuperset(CSV_COLUMNS):
-            header, table = _read_own_table(path)
-        else:
-            with path.open(newline="", encoding="utf-8-sig") as stream:
-                header, table, lines = _read_table(path, stream)
+        with path.open("rb") as file:
+            stream = file if file.seekable() else io.BytesIO(file.read())  # a pipe gives its text once
+            first = stream.readline(MAX_HEADER_LENGTH).decode("utf-8-sig", errors="replace")
+            stream.seek(0)
+            if not {cell.strip() for cell in first.split(",")}.issuperset(CSV_COLUMNS):
+                header, table = _read_own_table(path, decode_text(stream.read(MAX_FILE_BYTES + 1), str(path)))
+            else:
+                text = io.TextIOWrapper(stream, encoding="utf-8-sig", newline="")
+                header, table, lines = _read_table(path, text)
     except OSError as error:
         raise FileError(f"cannot read it ({error.strerror}).", where=str(path), remedy="Check the path.") from error
     except (UnicodeDecodeError, csv.Error) as error:
@@ -440,14 +443,14 @@ def _read_table(path: Path, stream: Iterable[str]) -> tuple[list[str], Float, Se
 _ALIASES = {"t": "time", "angle": "direction", "velocity": "speed", "load": "force", "fz": "force", "fn": "force"}
 
 
-def _read_own_table(path: Path) -> tuple[list[str], Float]:
-    """Return header and numbers of a table whose header is not exactly this project's, in its columns and SI units.
+def _read_own_table(path: Path, text: str) -> tuple[list[str], Float]:
+    """Return header and numbers of a table whose header is not exactly ours, in our columns and SI units.
 
     Names may have another case or unit, and be separated by semicolons or tabs. Positions x and y give direction and
     speed where those lack.
     """
     wanted = ("time", "direction", "speed", "force", "position", "x", "y")
-    columns, missing = parse_columns(read_text(path), wanted, _ALIASES, str(path))
+    columns, missing = parse_columns(text, wanted, _ALIASES, str(path))
     if {"x", "y"} <= columns.keys() and {"direction", "speed"} & set(missing) and "time" in columns:
         time = columns["time"]
         if len(time) > 1 and np.all(np.diff(time) > 0.0):

@@ -418,14 +418,13 @@ def test_a_plan_says_what_becomes_of_an_unlikely_height(tmp_path, capsys):
     assert "says 1 m" not in capsys.readouterr().out
 
 
-def test_the_option_stands_where_the_doubt_does(stroke_properties):
+def test_the_option_stands_where_the_doubt_does(operators):
     """In the stroke's panel, in its preview and under the place that was examined."""
-    from hnf_blender import ops, ui
+    from hnf_blender import ui
 
     stroke = line_stroke("Along", surface=plate(noise_material(1.0)))
     bpy.context.view_layer.objects.active = stroke
     STATE.clear()
-    ops.register()
     ui.register()
     try:
         refresh_status(bpy.context.scene)
@@ -441,7 +440,6 @@ def test_the_option_stands_where_the_doubt_does(stroke_properties):
             assert "height_as_authored" not in drawn(panel).props
     finally:
         ui.unregister()
-        ops.unregister()
         STATE.clear()
 
 

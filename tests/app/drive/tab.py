@@ -28,5 +28,9 @@ def replaced(panels, changed) -> None:
         bpy.utils.unregister_class(panel)
     for panel, (options, added) in changed.items():
         panel.bl_options, panel.bl_idname = options, panel.__name__ + added
+    names = {panel.__name__: panel.__name__ + added for panel, (_, added) in changed.items()}
     for panel in panels:
+        parent = getattr(panel, "bl_parent_id", "").removesuffix("_open")
+        if parent in names:
+            panel.bl_parent_id = names[parent]
         bpy.utils.register_class(panel)

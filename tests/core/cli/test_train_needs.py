@@ -46,7 +46,9 @@ def test_minutes_that_never_pass_are_told(tmp_path: Path, capsys: pytest.Capture
 def test_without_torch_it_is_said_where_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     with (
-        pytest.raises(HnfError, match=r"^training needs torch \(.*torch.*make env-test.*pip install torch scipy pillow"),
+        pytest.raises(
+            HnfError, match=r"^training needs torch \(.*torch.*make env-test.*pip install torch scipy pillow"
+        ),
         require_torch("training"),
     ):
         import torch  # noqa: F401
