@@ -10,10 +10,11 @@ CLOSED = "DEFAULT_CLOSED"
 
 
 @contextmanager
-def all_open():
-    """Inside, panels that begin closed stand open at their places; afterwards the tab is what it was."""
+def all_open(*names: str):
+    """Inside, panels that begin closed (those of these names, if any) stand open; afterwards the tab is what it was."""
     panels = [each for each in ours("ui")._registered_classes if issubclass(each, bpy.types.Panel)]
     closed = [each for each in panels if CLOSED in getattr(each, "bl_options", ())]
+    closed = [each for each in closed if not names or each.__name__ in names]
     replaced(panels, dict.fromkeys(closed, (set(), "_open")))
     try:
         yield

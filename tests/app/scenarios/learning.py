@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 from drive import buttons
 from drive.addon import MODULE, children, job_folders, ours, state
+from drive.tab import all_open
 
 SCREEN = "1280x1100"
 SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
@@ -60,6 +61,7 @@ def picked(stage, at, key):
 
 def dialog(stage, name):
     """Press the button in the Materials panel; a generator that returns where OK is."""
+    yield 1.0  # a message that came or went has moved the panels
     at = yield from buttons.find(stage, "bpy.ops.hnf.learn", below=stage.memory.get("button", 10_000))
     stage.memory["button"] = at[1] + 2 * buttons.ROW_PX  # messages push it down, never up
     yield 0.2  # what the mouse left before is closed
@@ -101,6 +103,9 @@ def check_a_python_is_named_and_checked(stage):
 def check_without_a_folder_it_is_refused_in_words(stage):
     yield from stage.show_tab()
     yield from stage.widen_sidebar(330)
+    stage.memory["materials"] = all_open("HNF_PT_materials")
+    stage.memory["materials"].__enter__()
+    yield 0.5
     stage.memory["before"] = slot()
     ok = yield from dialog(stage, "dialog-simulated")
     yield from picked(stage, (ok[0], ok[1] + 53 + 2 * ROW_PX), "Y")
@@ -164,3 +169,4 @@ def check_it_is_one_undo_step(stage):
     yield 0.5
     stage.expect("one redo puts it back", slot() == after, slot()[:2])
     yield from stage.picture("redone")
+    stage.memory["materials"].__exit__(None, None, None)
