@@ -6,8 +6,10 @@ import bpy
 
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.bridge.stroke.read_stroke import read_stroke
+from hnf_blender.preview.sound_device import import_aud
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.patches import action_from_contacts, plan_patches
+from hnf_core.errors import SceneError
 
 
 def add_stroke(points, *, name="Scrape", kind="POLY", cyclic=False, handles=None, **settings):
@@ -62,3 +64,11 @@ def keyed_fcurves(obj):
     from hnf_blender import compat
 
     return compat.fcurves_of(obj)
+
+
+def has_sound() -> bool:
+    try:
+        import_aud()
+    except SceneError:
+        return False
+    return True

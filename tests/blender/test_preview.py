@@ -14,18 +14,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from job_scene import small_scene
+from stroke_builders import has_sound
 from touch_scene import save_scene, set_keys
 
 from hnf_blender import preview
 from hnf_blender.preview import controller, get_preview_facts, get_preview_icon
 from hnf_blender.preview.preview_state import PREVIEW
-from hnf_blender.preview.sound_device import import_aud
 from hnf_blender.preview.stroke_image import ImageStyle
 from hnf_blender.preview.synthesis_thread import RenderCache, SynthesisThread, read_current_bake, synthesise_preview
 from hnf_blender.preview.timeline_playback import PlayheadFollower, list_placed_signals
 from hnf_blender.state.status_tracker import refresh_status
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY, SCHEMA, StrokeBake, load_bake, remove_bake, store_bake
-from hnf_core.errors import FileError, SceneError, StrokeError
+from hnf_core.errors import FileError, StrokeError
 
 
 @pytest.fixture
@@ -38,14 +38,6 @@ def stroke(warm_bake):
     yield bpy.data.objects["Along"]
     controller.PLAYER.release()
     PREVIEW.clear()
-
-
-def has_sound() -> bool:
-    try:
-        import_aud()
-    except SceneError:
-        return False
-    return True
 
 
 def now(obj):
