@@ -303,7 +303,7 @@ def _combine_events(
 
     emphases = (
         (at, *to_amplitude_and_frequency(at, event_intensity, event_sharpness))
-        for at, event_intensity, event_sharpness in sorted(clicks)
+        for at, event_intensity, event_sharpness in sorted(clicks, key=lambda click: click[0])
     )
     amplitude, frequency = to_amplitude_and_frequency(time, level, sharpness_values)
     if time[0] > 0.0:

@@ -76,6 +76,9 @@ def encode_haptic(envelope: Envelope, options: ExportOptions) -> tuple[dict[str,
     marks: dict[int, list[Emphasis]] = {}
     for emphasis in envelope.emphases:
         marks.setdefault(_find_nearest(envelope.time, emphasis.time_s), []).append(emphasis)
+    for index, clicks in marks.items():
+        # The format wants the amplitude at a click no higher than the click, which replaces the tone there anyway.
+        strength[index] = min(strength[index], *(click.amplitude / options.full_scale_m_s2 for click in clicks))
     points = []
     for index in select_control_points(envelope.time, strength, options.error * strength.max(), marks):
         value = _round_to_unit_range(strength[index])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import FileError
@@ -45,6 +45,20 @@ def haptic_files(draw) -> dict:
     return {"version": {"major": 1, "minor": 0, "patch": 0}, "signals": {"continuous": {"envelopes": envelopes}}}
 
 
+def make_haptic_file(*points: tuple[float, float, float]) -> dict:
+    """Return the JSON of a .haptic file of (time, amplitude, amplitude of the click or 0)."""
+    rows = [
+        {"time": time, "amplitude": level} | ({"emphasis": {"amplitude": click, "frequency": 0.0}} if click else {})
+        for time, level, click in points
+    ]
+    envelopes = {"amplitude": rows, "frequency": []}
+    return {"version": {"major": 1, "minor": 0, "patch": 0}, "signals": {"continuous": {"envelopes": envelopes}}}
+
+
+SIMULTANEOUS_CLICKS = make_haptic_file((0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (0.02, 0.0, 1.0), (0.02, 0.0, 0.5))
+CLICK_BELOW_A_RISING_TONE = make_haptic_file((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.125), (0.02, 0.628, 0.0))
+
+
 def convert(source: Path, word: str, target: Path):
     clip = find_loader(source)(source, OPTIONS)
     options = ExportOptions(clip.origin.full_scale_m_s2, clip.origin.range_hz)
@@ -52,6 +66,8 @@ def convert(source: Path, word: str, target: Path):
 
 
 @settings(max_examples=60)
+@example(SIMULTANEOUS_CLICKS, ("ahap", "haptic"))
+@example(CLICK_BELOW_A_RISING_TONE, ("ahap", "haptic"))
 @given(haptic_files(), st.sampled_from([("ahap", "haptic"), ("haptic", "ahap"), ("ahap", "ahap", "haptic")]))
 def test_clicks_level_and_duration_survive(tmp_path_factory, record, way):
     folder = tmp_path_factory.mktemp("way")
