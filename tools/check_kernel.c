@@ -85,7 +85,7 @@ int main(int given, char **words)
     FIND(hnf_bins) FIND(hnf_real_waves) FIND(hnf_complex_waves) FIND(hnf_plan_hops) FIND(hnf_hops)
     FIND(hnf_place) FIND(hnf_press) FIND(hnf_tap) FIND(hnf_contact_motion) FIND(hnf_tones) FIND(hnf_bends) FIND(hnf_read_arcs)
     FIND(hnf_inputs) FIND(hnf_emitted) FIND(hnf_layers) FIND(hnf_take_tones)
-    FIND(hnf_gather_sidebands)
+    FIND(hnf_gather_sidebands) FIND(hnf_force_noise) FIND(hnf_body_gains)
     printf("version %d, wide vectors %d\n", (int)hnf_abi_(), (int)hnf_has_wide_vectors_());
 
     fill(amplitude, 5 * BANDS), fill(waves, BANDS * COUNT), fill(cubic, 16);
@@ -190,6 +190,27 @@ int main(int given, char **words)
     hnf_emitted_(&tables, &emitter, head, motion, &expected, STATES, room, alpha);
     hnf_gather_sidebands_(&tables, &emitter, STATES, &lattice, room, alpha);
     say("apart", apart, 4 * STATES, 6), say("left", alpha, STATES * (EDGES + ARC), 6);
+    static double gains[30 * ARC], bodies[30 * ARC], loads[3 * ARC], rubbed[STATES * (EDGES + ARC)], bodied[STATES];
+    for (int i = 0; i < 30 * ARC; i++)
+        gains[i] = uniform(), bodies[i] = 0.5 + uniform();
+    for (int i = 0; i < 3 * ARC; i++)
+        loads[i] = -8.0 + uniform();
+    hnf_rubbing rubbing[STATES];
+    int64_t every[STATES];
+    for (int i = 0; i < STATES; i++)
+        rubbing[i] = (hnf_rubbing){0.01 + 0.2 * uniform(), 0.3 + uniform(), uniform()}, every[i] = i, bodied[i] = 20.0 * i;
+    for (int i = 0; i < STATES * (EDGES + ARC); i++)
+        rubbed[i] = uniform();
+    hnf_friction stiff = {EDGES, ARC, 20 * ARC, 8, 0, 30 * ARC, 192.0, -6.9, 1.6, 8.0, -4.6, 1.4, 0.3, 0.01, gains, bodies,
+                          skip, skip, kappa, edge, loads};
+    hnf_force_noise_(&stiff, rubbing, every, STATES, 1, EDGES + ARC, room, rubbed);
+    say("stiff", rubbed, STATES * (EDGES + ARC), 9);
+    hnf_friction soft = stiff;
+    soft.loads = 3;
+    hnf_force_noise_(&soft, rubbing, every, STATES, 1, EDGES + ARC, room, rubbed);
+    say("soft", rubbed, STATES * (EDGES + ARC), 9);
+    hnf_body_gains_(&stiff, bodied, STATES, power);
+    say("body", power, STATES, 9);
     const float *given_panels[4] = {panels[0], panels[1], panels[2], panels[3]};
     const float *given_biases[4] = {biases[0], biases[1], biases[2], biases[3]};
     int64_t widths[5] = {20, 19, 17, 11, 3};

@@ -205,17 +205,17 @@ class Carriers:
         """Number of arc carriers Ka."""
         return self.arc_octaves * ARC_PER_OCTAVE
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of all carriers K."""
         return int(self.constant) + self.time_count + self.arc_count
 
-    @property
+    @cached_property
     def time_slice(self) -> slice:
         """Columns of the time carriers in an amplitude array (…, K)."""
         return slice(int(self.constant), int(self.constant) + self.time_count)
 
-    @property
+    @cached_property
     def arc_slice(self) -> slice:
         """Columns of the arc carriers in an amplitude array (…, K)."""
         return slice(int(self.constant) + self.time_count, self.count)

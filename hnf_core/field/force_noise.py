@@ -18,11 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..kernel.compiled_force_noise import FrictionTables
+from ..kernel.loader import load_kernel
 from ..material.contact_model import (
     FRICTION_NOISE_FORCE_EXPONENT,
     FRICTION_NOISE_WAVENUMBER,
@@ -47,7 +49,6 @@ from .linear_contact import (
 )
 
 Float = NDArray[np.float64]
-Rows = slice | NDArray[np.intp]
 
 TANGENTIAL_OVER_NORMAL = 0.82
 """Tangential over normal stiffness of a Hertzian contact at ν = 0.3 (R. D. Mindlin 1949, J. Appl. Mech. 16)."""
@@ -239,40 +240,47 @@ def add_force_noise(alpha: Float, condition: Condition, carriers: Carriers) -> F
     Both are linear and independent of the relief, so powers add and the network need not learn them. Waves along the
     path that are shorter than the arc carriers go to the time carriers.
     """
-    power, probe = np.square(alpha), get_probe(condition.probe)
-    for rows, noise, body in _iterate_materials(condition, carriers):
-        bands = power[rows, :, : carriers.count]
-        bands += noise[:, None, :]
-        bands *= body[:, None, :]
-        power[rows, :, : carriers.count] = bands
-    if condition.lines is not None and power.shape[2] > carriers.count:
-        for rows, tones in _iterate_thread_tones(condition):
-            power[rows, :, carriers.count :] += tones[:, None, :]
-        frequency = condition.lines.compute_tone_wavenumbers() * condition.speed[:, None]
-        power[:, :, carriers.count :] *= np.square(np.abs(body_response(frequency, probe)))[:, None, :]
-    return np.asarray(np.sqrt(power, out=power))
+    kernel, alpha = load_kernel(), np.array(alpha, dtype=np.float64, order="C")
+    speed, force, moving = _get_rubbing(condition)
+    scale = _compute_scale(condition, moving)
+    for rows, tables in _iterate_materials(condition, carriers):
+        if kernel is not None and tables.compiled is not None:
+            rubbing = np.stack([speed[rows], force[rows], scale[rows]], axis=1)
+            tables.compiled.add(kernel, alpha, rows, rubbing)
+        else:
+            noise = tables.compute_power(speed[rows], force[rows]) * scale[rows, None]
+            power = np.square(alpha[rows, :, : carriers.count]) + noise[:, None, :]
+            power *= tables.compute_body_power(speed[rows])[:, None, :]
+            alpha[rows, :, : carriers.count] = np.sqrt(power, out=power)
+    if condition.lines is not None and alpha.shape[2] > carriers.count:
+        tones = alpha[:, :, carriers.count :]
+        for rows, power in _iterate_thread_tones(condition):
+            tones[rows] = np.sqrt(np.square(tones[rows]) + power[:, None, :])
+        if get_probe(condition.probe).body_modes:
+            tables = get_force_noise(condition.mechanics[0], condition.probe, carriers)
+            frequency = condition.lines.compute_tone_wavenumbers() * condition.speed[:, None]
+            tones *= tables.compute_body_gain(frequency)[:, None, :]
+    return alpha
 
 
 def compute_force_noise_power(condition: Condition, carriers: Carriers) -> tuple[Float, Float]:
     """Compute the power (n, K) of friction's force noise as the probe's body moves, and the body's power gain."""
     power, gain = np.zeros((len(condition.speed), carriers.count)), np.ones((len(condition.speed), carriers.count))
-    for rows, noise, body in _iterate_materials(condition, carriers):
-        power[rows], gain[rows] = noise * body, body
+    speed, force, moving = _get_rubbing(condition)
+    scale = _compute_scale(condition, moving)
+    for rows, tables in _iterate_materials(condition, carriers):
+        gain[rows] = tables.compute_body_power(speed[rows])
+        power[rows] = tables.compute_power(speed[rows], force[rows]) * scale[rows, None] * gain[rows]
     return power, gain
 
 
-def _iterate_materials(condition: Condition, carriers: Carriers) -> Iterator[tuple[Rows, Float, Float]]:
-    """Yield the moving states of each material (m,), their force noise and the gain of the body, (m, K) each."""
-    speed, force, moving = _get_rubbing(condition)
+def _iterate_materials(condition: Condition, carriers: Carriers) -> Iterator[tuple[NDArray[np.intp], ForceNoise]]:
+    """Yield the moving states (m,) of each material, and its tables."""
+    _, _, moving = _get_rubbing(condition)
     for index, mechanics in enumerate(condition.mechanics):
         of_material = np.flatnonzero((condition.material == index) & (moving > 0.0))
         for rows, rest in _separate_threads(condition, of_material, mechanics):
-            tables = get_force_noise(rest, condition.probe, carriers)
-            noise = tables.compute_power(speed[rows], force[rows])
-            noise *= moving[rows, None]
-            if condition.along_share is not None:
-                noise *= condition.along_share[rows, None]
-            yield rows, noise, tables.compute_body_power(speed[rows])
+            yield rows, get_force_noise(rest, condition.probe, carriers)
 
 
 def _get_rubbing(condition: Condition) -> tuple[Float, Float, Float]:
@@ -282,9 +290,14 @@ def _get_rubbing(condition: Condition) -> tuple[Float, Float, Float]:
     return np.maximum(condition.speed, SPEED_FLOOR_M_S), np.maximum(condition.force, FORCE_FLOOR_N), moving
 
 
+def _compute_scale(condition: Condition, moving: Float) -> Float:
+    """Return the factor (n,) on the noise's power: `moving`, and the share that stick–slip leaves along the path."""
+    return moving if condition.along_share is None else moving * condition.along_share
+
+
 def _separate_threads(
     condition: Condition, rows: NDArray[np.intp], mechanics: Mechanics
-) -> Iterator[tuple[Rows, Mechanics]]:
+) -> Iterator[tuple[NDArray[np.intp], Mechanics]]:
     """Yield those of a material's states whose threads are noise, and those whose threads are tones, without them."""
     lines, probe = condition.lines, get_probe(condition.probe)
     has_tones = np.zeros(len(rows), dtype=bool)
@@ -292,9 +305,7 @@ def _separate_threads(
         has_tones = find_thread_lines(lines[rows], mechanics, probe).any(axis=1)
     for chosen, rest in ((rows[~has_tones], mechanics), (rows[has_tones], replace(mechanics, thread_spacing_m=0.0))):
         if len(chosen):
-            # Rows in succession, as most are, are read in place.
-            whole = int(chosen[-1] - chosen[0]) == len(chosen) - 1
-            yield slice(int(chosen[0]), int(chosen[-1]) + 1) if whole else chosen, rest
+            yield chosen, rest
 
 
 def _iterate_thread_tones(condition: Condition) -> Iterator[tuple[NDArray[np.intp], Float]]:
@@ -303,15 +314,13 @@ def _iterate_thread_tones(condition: Condition) -> Iterator[tuple[NDArray[np.int
     if lines is None or probe.pad is None:
         return
     speed, force, moving = _get_rubbing(condition)
+    scale = _compute_scale(condition, moving)
     for index, mechanics in enumerate(condition.mechanics):
         rows = np.flatnonzero((condition.material == index) & (moving > 0.0))
         is_thread = find_thread_lines(lines[rows], mechanics, probe)
         if is_thread.any():
             power = compute_thread_tones(lines[rows], is_thread, speed[rows], force[rows], mechanics, probe)
-            power *= moving[rows, None]
-            if condition.along_share is not None:
-                power *= condition.along_share[rows, None]
-            yield rows, power
+            yield rows, power * scale[rows, None]
 
 
 STEPS_PER_BAND = 8
@@ -371,6 +380,21 @@ class ForceNoise:
             loads = FORCE_FLOOR_N * np.exp2(np.arange(LOAD_OCTAVES * LOADS_PER_OCTAVE + 1) / LOADS_PER_OCTAVE)
             power = _force_power(edges[:-1], edges[1:], mechanics, probe, loads[:, None])
             self._log_loads = np.log(np.maximum(power, 1e-60))
+        self._gain = gain
+
+    @cached_property
+    def compiled(self) -> FrictionTables | None:
+        """Tables for the kernel; None for carriers of the published form, which it does not have."""
+        if self._carriers.constant:
+            return None
+        return FrictionTables(
+            rows=TABLE_OCTAVES * self._per_octave, step=STEPS_PER_BAND, gain=self._gain, body=self._body,
+            time_gain=self._time_gain, time_body=self._time_body, bands=self._bands, time_power=self._time_power,
+            log_loads=self._log_loads, per_octave=self._per_octave, log_least_speed=math.log(SPEED_FLOOR_M_S),
+            log_first_hz=math.log(self._first_hz), loads_per_octave=LOADS_PER_OCTAVE,
+            log_least_force=math.log(FORCE_FLOOR_N), force_exponent=2.0 * FRICTION_NOISE_FORCE_EXPONENT,
+            exponent=self._exponent, time_start=self._time_start,
+        )  # fmt: skip
 
     def compute_power(self, speed: Float, force: Float) -> Float:
         """Compute the acceleration power (n, K) of the force noise; speed, force: (n,), not below their floors."""
@@ -397,33 +421,24 @@ class ForceNoise:
         gains[:, carriers.arc_slice] = self._arc_body[self._find_rows(speed)]
         return gains
 
-    def add_to_state(self, alpha: Float, speed: float, force: float, moving: float) -> Float:
-        """Return the amplitudes (K,) of one state with force noise and body; see add_force_noise.
+    def add_to_state(self, alpha: Float, speed: float, force: float, moving: float) -> None:
+        """Add force noise and body to the amplitudes (K,) of one state, in place; see add_force_noise.
 
         speed [m/s] and force [N] are not below their floors; moving is 0 at rest to 1.
         """
-        carriers, scale = self._carriers, moving * moving
-        row = min(round(self._per_octave * math.log2(speed / SPEED_FLOOR_M_S)), TABLE_OCTAVES * self._per_octave - 1)
-        power = alpha * alpha
-        arc, time = power[carriers.arc_slice], power[carriers.time_slice]
-        if self._probe.pad is not None:
-            position = min(LOADS_PER_OCTAVE * math.log2(force / FORCE_FLOOR_N), len(self._log_loads) - 1.0)
-            low = min(int(position), len(self._log_loads) - 2)
-            share = position - low
-            bands = np.exp(self._log_loads[low] * (1.0 - share) + self._log_loads[low + 1] * share)
-        else:
-            scale *= force ** (2.0 * FRICTION_NOISE_FORCE_EXPONENT)
-            bands = self._bands
-            integral = np.maximum(self._time_power * speed**-self._exponent, self._time_start)
-            time += (integral[1:] - integral[:-1]) * (scale * self._time_gain)
-        arc += bands * self._arc_gain[row] * scale
-        if self._probe.body_modes:
-            arc *= self._arc_body[row]
-            time *= self._time_body
-        return np.asarray(np.sqrt(power, out=power))
+        kernel, scale = load_kernel(), moving * moving
+        if kernel is not None and self.compiled is not None:
+            self.compiled.add_to_state(kernel, alpha, speed, force, scale)
+            return
+        at = np.array([speed])
+        power = np.square(alpha) + scale * self.compute_power(at, np.array([force]))[0]
+        np.sqrt(power * self.compute_body_power(at)[0], out=alpha)
 
     def compute_body_gain(self, frequency: Float) -> Float:
         """Return the body's gain at frequencies [Hz], interpolated in the table, as arrays of their shape."""
+        kernel = load_kernel()
+        if kernel is not None and self.compiled is not None:
+            return self.compiled.compute_body_gains(kernel, frequency)
         octaves = np.log2(np.maximum(frequency, 1e-9) / self._first_hz)
         place = np.minimum(np.maximum(self._per_octave * octaves, 0.0), len(self._body) - 1.001)
         row = place.astype(np.intp)

@@ -122,7 +122,8 @@ def render_carriers(prepared: PreparedStroke, start: int, count: int) -> Float:
     begin = origin + start - first * HOP_SIZE
     samples = render_carrier_hops(knots, carriers, seed, position, hops)[begin : begin + count]
     if prepared.course.lines is not None and prepared.tone_amplitude is not None:
-        samples = samples + prepared.course.lines.render(action, knot_samples, prepared.tone_amplitude, start, count)
+        here = position[begin + REACH_SAMPLES : begin + REACH_SAMPLES + count]
+        samples = samples + prepared.course.lines.render(action, knot_samples, prepared.tone_amplitude, start, here)
     return samples
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from statistics import NormalDist
 
 import numpy as np
@@ -21,7 +22,7 @@ from ..kernel.loader import load_kernel
 from ..material.contact_model import Mechanics
 from .contact.lattice_lines import HARMONICS, LINE_COUNT, Lines, find_lines
 from .linear_contact import BAND_END_HZ
-from .stroke import SAMPLES_PER_STATE, interpolate_position
+from .stroke import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
 
@@ -92,12 +93,7 @@ class PitchScatter:
     """
 
     def __init__(self, seed: int) -> None:
-        draw = np.random.Generator(np.random.Philox(key=seed)).random((2, 2, SCATTER_WAVES))
-        share = 0.5 + 0.5 * (np.arange(SCATTER_WAVES) + draw[0]) / SCATTER_WAVES
-        # exp(−(π x / L)²) is the transform of a normal distribution of wavenumbers with deviation 1 / (√2 L).
-        normal = NormalDist(sigma=1.0 / (np.sqrt(2.0) * SCATTER_LENGTH_M))
-        self._wavenumber = np.array([[normal.inv_cdf(each) for each in axis] for axis in share.tolist()])
-        self._phase = draw[1]
+        self._wavenumber, self._phase = _draw_scatter_waves(seed)
         self._table, self._reach = (np.zeros((2, 0)), 0.0, 1.0), (0, -1)
 
     def tabulate(self, position: Float) -> tuple[Float, float, float]:
@@ -121,6 +117,16 @@ class PitchScatter:
         grid, first, per_m = self.tabulate(position)
         place = (position - first) * per_m
         return np.stack([np.interp(place, np.arange(grid.shape[1]), axis) for axis in grid])
+
+
+@lru_cache(maxsize=16)
+def _draw_scatter_waves(seed: int) -> tuple[Float, Float]:
+    """Draw the wavenumbers [cycles/m] and the phases [turns] of the waves of a displacement, (2, waves) each."""
+    draw = np.random.Generator(np.random.Philox(key=seed)).random((2, 2, SCATTER_WAVES))
+    share = 0.5 + 0.5 * (np.arange(SCATTER_WAVES) + draw[0]) / SCATTER_WAVES
+    # exp(−(π x / L)²) is the transform of a normal distribution of wavenumbers with deviation 1 / (√2 L).
+    normal = NormalDist(sigma=1.0 / (np.sqrt(2.0) * SCATTER_LENGTH_M))
+    return np.array([[normal.inv_cdf(each) for each in axis] for axis in share.tolist()]), draw[1]
 
 
 @dataclass(frozen=True)
@@ -168,14 +174,14 @@ class LineCourse:
         wavenumber = (self.wavenumber[state][:, :, None] * np.array(HARMONICS)).reshape(len(state), -1)
         amplitude *= (wavenumber > 0.0) & (wavenumber * speed[state, None] < BAND_END_HZ)
 
-    def render(self, action: Action, knots: NDArray[np.int64], amplitude: Float, start: int, count: int) -> Float:
+    def render(self, action: Action, knots: NDArray[np.int64], amplitude: Float, start: int, position: Float) -> Float:
         """Render the tones at samples start … start + count − 1 of the model rate, (count,) [m/s²].
 
         action: the stroke's at its states. knots: (m,) samples of the amplitudes (m, L · harmonics), linear in between.
+        position: (count,) along the path [m].
         """
-        sample, last = start + np.arange(count), len(self.turns) - 1
+        sample, last = start + np.arange(len(position)), len(self.turns) - 1
         state = np.clip(sample // SAMPLES_PER_STATE, 0, max(last - 1, 0))
-        position = interpolate_position(action, start, count)
         way = position - action.position[state]
         kernel = load_kernel()
         if kernel is None:

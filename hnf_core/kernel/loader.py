@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..threads import single_blas_thread
 
-ABI = 11
+ABI = 12
 """HNF_ABI of hnf_kernel.h; a library of another version has other functions."""
 SWITCH_VARIABLE = "HNF_KERNEL"
 LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -52,6 +52,8 @@ _SIGNATURES = {
     "hnf_emitted": (_Pointer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer),
     "hnf_take_tones": (_Pointer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer),
     "hnf_gather_sidebands": (_Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer),
+    "hnf_force_noise": (_Pointer, _Pointer, _Pointer, _Integer, _Integer, _Integer, _Pointer, _Pointer),
+    "hnf_body_gains": (_Pointer, _Pointer, _Integer, _Pointer),
     "hnf_layers": (
         _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer,
     ),

@@ -60,7 +60,8 @@ def tones_of(prepared: PreparedStroke) -> np.ndarray | float:
     if prepared.course.lines is None or prepared.tone_amplitude is None:
         return 0.0
     knots = BLOCK * np.arange(len(prepared.tone_amplitude))
-    return prepared.course.lines.render(prepared.action, knots, prepared.tone_amplitude, 0, prepared.count)
+    position = interpolate_position(prepared.action, 0, prepared.count)
+    return prepared.course.lines.render(prepared.action, knots, prepared.tone_amplitude, 0, position)
 
 
 def as_the_model_says(stroke: StrokeInput) -> np.ndarray:

@@ -270,6 +270,7 @@ Direction = Sequence[float] | Float
 _START, _SHIFT = np.asarray(HARMONIC_START_LOG)[:, None, None], np.asarray(HARMONIC_SHIFTS)[:, None, None]
 _LINE_OFFSETS = _SHIFT + np.arange(2)[:, None]
 _BANDS, _WIDTH = len(BAND_WAVELENGTHS_M), len(BAND_FEATURES)
+_RIGHT_ANGLE, _HALF_ROOT = 0.5 * math.pi, math.sqrt(0.5)
 _MOMENT_COLUMNS = np.concatenate([np.arange(_BANDS) * _WIDTH + BAND_FEATURES.index(name) for name in ("cos2", "cos4")])
 _SYMMETRY_ORDERS = np.repeat([2.0, 4.0], _BANDS)
 
@@ -311,6 +312,7 @@ class LiveEmission:
                 self._is_thread = find_thread_lines(straight, mechanics, get_probe(probe))
             rest = replace(mechanics, thread_spacing_m=0.0) if self._is_thread.any() else mechanics
             self._force_noise = get_force_noise(rest, probe, config.carriers)
+        self._has_threads = bool(self._is_thread.any())
         self.evaluate((1.0, 0.0), 0.0, 0.0, contact=False)  # Builds the evaluator now, so that no touch waits for it.
 
     def evaluate(self, direction: Direction, speed: float, force: float, contact: bool) -> tuple[Float, Float]:
@@ -330,14 +332,14 @@ class LiveEmission:
             part = self._numpy
             alpha, sigma = self._numpy.evaluate(direction, angle, floored_speed, floored_force, moving)
         if self._force_noise is not None and moving > 0.0:
-            alpha = self._force_noise.add_to_state(alpha, floored_speed, floored_force, moving)
+            self._force_noise.add_to_state(alpha, floored_speed, floored_force, moving)
         if part.tones is None:
             return alpha, sigma
         tones = part.tones
-        if self._is_thread.any() and moving > 0.0:
+        if self._has_threads and moving > 0.0:
             tones = self._add_threads(tones, part.along, floored_speed, floored_force, moving)
         if self._force_noise is not None and self._has_modes and moving > 0.0:
-            frequency = (floored_speed * part.along[:, None] * _HARMONICS).ravel()
+            frequency = np.multiply.outer(part.along, floored_speed * _HARMONICS).ravel()
             tones = tones * self._force_noise.compute_body_gain(frequency)
         return np.concatenate([alpha, tones]), sigma
 
@@ -499,8 +501,12 @@ class CompiledEmission:
         self._state = StateEvaluator(emitter, field.layers, token, np.array([encode_fixed_inputs(mechanics, probe)]))
         self._linear = LiveLinearContact(token[0], mechanics, get_probe(probe), field.config.carriers)
         self._mass = get_probe(probe).mass_kg
-        self._arrays, self._lines, self.along = None, lines, np.zeros(0)
+        self._arrays, self.along = None, np.zeros(0)
+        self._each_line: list[tuple[float, float, int, bool]] = []
         if lines is not None:
+            band, is_across = (lines.column % _BANDS).tolist(), (lines.column >= _BANDS).tolist()
+            places = lines.wavenumber[0].tolist(), lines.angle[0].tolist()
+            self._each_line = list(zip(*places, band, is_across, strict=True))
             scatter = np.array([mechanics.pitch_scatter_m or 0.0])
             self._arrays = ToneArrays(
                 emitter, lines.column[None].astype(np.int64), lines.wavenumber, np.zeros_like(lines.wavenumber), scatter
@@ -520,10 +526,15 @@ class CompiledEmission:
         Arguments as of NumpyEmission.evaluate.
         """
         touch, resonance = self._linear.contact_columns(angle, pace, load)
-        if self._lines is not None and self._arrays is not None:
-            off = self._lines.angle[0] - angle
-            np.multiply(self._lines.wavenumber[0], np.abs(np.cos(off)), out=self.along)
-            self._arrays.column[0] = self._lines.find_columns(off)
+        if self._arrays is not None:
+            # As Lines.project, which for so few lines is mostly the overhead of arrays.
+            along, columns = [], []
+            for wavenumber, axis, band, is_across in self._each_line:
+                off = axis - angle
+                along.append(wavenumber * abs(math.cos(off)))
+                is_turned = abs(math.cos(off - _RIGHT_ANGLE if is_across else off)) < _HALF_ROOT
+                columns.append(band + _BANDS if is_across != is_turned else band)
+            self.along[:], self._arrays.column[0] = along, columns
         motion = (*direction, pace, load, self._mass, resonance, moving)
         alpha, sigma = self._state.evaluate(kernel, motion, touch, self._arrays)
         return alpha, np.logaddexp(0.0, sigma, dtype=np.float64)

@@ -203,9 +203,10 @@ class LiveSynthesis:
         self._pair[1] = amplitude[: self._carriers.count]
         fade = self._fade(state.contact)
         pressing = self._pressing.step(state.force if state.contact else 0.0, state.material)
-        out = self._render_carriers(travel) + pressing
+        position = self._interpolate_position()
+        out = self._render_carriers(travel, position) + pressing
         if self._tones is not None:
-            self._tones.add(out, self._interpolate_position(), self._places[-2])
+            self._tones.add(out, position, self._places[-2])
         return out if fade is None else fade * out
 
     def _render_silence(self) -> Float:
@@ -245,28 +246,30 @@ class LiveSynthesis:
             return None
         return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * STATE_FRACTIONS)) ** 2)
 
-    def _render_carriers(self, travel: float) -> Float:
-        """Render all noise carriers between the previous state and this one; travel: path length in between [m]."""
-        carriers, pair, out = self._carriers, self._pair, np.zeros(SAMPLES_PER_STATE)
+    def _render_carriers(self, travel: float, position: Float) -> Float:
+        """Render all noise carriers between the previous state and this one.
+
+        travel: path length in between [m]. position: (SAMPLES_PER_STATE,) along the path [m].
+        """
+        carriers, pair = self._carriers, self._pair
         if not pair.any():
-            return out
+            return np.zeros(SAMPLES_PER_STATE)
         mixed = self._noise.mix(pair[:, carriers.time_slice], self._sample, SAMPLES_PER_STATE)
-        out += mixed[0] * (1.0 - STATE_FRACTIONS) + mixed[1] * STATE_FRACTIONS
+        out: Float = mixed[0] * (1.0 - STATE_FRACTIONS) + mixed[1] * STATE_FRACTIONS
         if carriers.arc_count:
-            out += self._render_arc_carriers(pair[:, carriers.arc_slice].reshape(2, -1, ARC_PER_OCTAVE), travel)
+            arcs = pair[:, carriers.arc_slice].reshape(2, -1, ARC_PER_OCTAVE)
+            out += self._render_arc_carriers(arcs, travel, position)
         return out
 
-    def _render_arc_carriers(self, pair: NDArray[np.float32], travel: float) -> Float:
+    def _render_arc_carriers(self, pair: NDArray[np.float32], travel: float, position: Float) -> Float:
         """Compute Σ_k A_k c_k(s(t)) over the arc carriers. pair: (2, octaves, 24) amplitudes at two states.
 
         An octave that would alias because the hand has become too fast fades out, at a position that is held.
         """
         lowest = BAND_END_HZ / max(travel * ACTION_RATE_HZ, 1e-12)
-        active = np.flatnonzero(pair.any(axis=(0, 2))).tolist()
+        active = [octave for octave, sounds in enumerate(pair.any(axis=(0, 2)).tolist()) if sounds]
         readable = [octave for octave in active if self._lowest[octave] < lowest]
-        out = np.zeros(SAMPLES_PER_STATE)
-        if readable:
-            out += self._arcs.read(pair, readable, self._interpolate_position())
+        out = self._arcs.read(pair, readable, position) if readable else np.zeros(SAMPLES_PER_STATE)
         if len(readable) < len(active):
             too_fast = [octave for octave in active if self._lowest[octave] >= lowest]
             out += self._arcs.read(pair, too_fast, np.full(SAMPLES_PER_STATE, self._places[-2]))

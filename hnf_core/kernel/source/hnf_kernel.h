@@ -15,7 +15,7 @@
 #endif
 
 /* Raised whenever a signature or a meaning changes; library.py asks. */
-#define HNF_ABI 11
+#define HNF_ABI 12
 
 typedef struct { float re, im; } hnf_complex;
 
@@ -155,6 +155,30 @@ HNF_EXPORT void hnf_take_tones(const hnf_tables *tables, const hnf_emitter *emit
 /* After hnf_emitted: the tones get what scatter spreads about them, from alpha (states, carriers). scratch: bands. */
 HNF_EXPORT void hnf_gather_sidebands(const hnf_tables *tables, const hnf_emitter *emitter, int64_t states,
                                      const hnf_path_lines *lines, double *scratch, double *alpha);
+
+/* force_noise.c */
+
+/* Tables of one material under one probe (hnf_core/field/force_noise.py). gain, body: (size,) power gains of a force and
+ * of a motion, at frequencies in even steps of log f; those of all arc bands, step apart, begin at one of the first rows,
+ * by the speed. loads: of log_loads (loads, arc_bands), the power under a pad; 0 for a stiff tip, whose power is bands
+ * (arc_bands,) times force^force_exponent, and the difference of time_power (time_bands + 1,) / speed^exponent, not below
+ * time_start. */
+typedef struct {
+    int64_t time_bands, arc_bands, rows, step, loads, size;
+    double per_octave, log_least_speed, log_first_hz, loads_per_octave, log_least_force, force_exponent, exponent,
+        time_start;
+    const double *gain, *body, *time_gain, *time_body, *bands, *time_power, *log_loads;
+} hnf_friction;
+
+/* speed [m/s] and force [N] are not below their floors; scale: factor on the noise's power. */
+typedef struct { double speed, force, scale; } hnf_rubbing;
+
+/* alpha: (…, heads, stride), of which rows (states,) get the noise and the body's gain in their first time_bands +
+ * arc_bands numbers. scratch: twice as many. */
+HNF_EXPORT void hnf_force_noise(const hnf_friction *tables, const hnf_rubbing *rubbing, const int64_t *rows,
+                                int64_t states, int64_t heads, int64_t stride, double *scratch, double *alpha);
+/* out: (count,) gains of the body at frequencies [Hz]. */
+HNF_EXPORT void hnf_body_gains(const hnf_friction *tables, const double *frequency, int64_t count, double *out);
 
 /* layers.c */
 HNF_EXPORT void hnf_layers(const float *const *panels, const float *const *biases, const int64_t *widths,

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hnf_core.action.synthetic_actions import make_steady_action
 from hnf_core.field.carriers import Carriers
+from hnf_core.field.contact.lattice_lines import find_lines
 from hnf_core.field.field import evaluate
 from hnf_core.field.force_noise import (
     add_force_noise,
@@ -22,6 +23,7 @@ from hnf_core.field.force_noise import (
 from hnf_core.field.live.emission import LiveEmission
 from hnf_core.field.stroke import build_condition, resample_action, uniform_stroke
 from hnf_core.field.weights import load_field
+from hnf_core.kernel.loader import without_kernel
 from hnf_core.material.contact_model import (
     FRICTION_NOISE_FORCE_EXPONENT,
     MECHANICS_LIMITS,
@@ -109,7 +111,32 @@ def test_one_state_is_the_batch_of_one(probe):
         alpha = rng.random(CARRIERS.count)
         power = tables.compute_power(np.array([speed]), np.array([force]))[0]
         expected = np.sqrt((alpha**2 + 0.25 * power) * tables.compute_body_power(np.array([speed]))[0])
-        np.testing.assert_allclose(tables.add_to_state(alpha, speed, force, 0.5), expected, rtol=1e-12)
+        tables.add_to_state(alpha, speed, force, 0.5)
+        np.testing.assert_allclose(alpha, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("probe", PROBE_NAMES)
+@pytest.mark.parametrize("name", ["sandpaper", "corduroy"])
+def test_the_kernel_adds_what_numpy_adds(name, probe):
+    field, material = load_field(), get_material(name)
+    stroke = uniform_stroke(make_steady_action(0.1, 0.1, 1.0, 0.3, probe), material.token, material.mechanics)
+    action, index = resample_action(stroke)
+    lines = find_lines(material.token[None])
+    condition = build_condition(stroke, action, index, lines=lines if lines.count else None)
+    alpha = np.random.default_rng(1).random((len(condition.speed), 1, CARRIERS.count + lines.tone_count))
+    before = alpha.copy()
+    found = add_force_noise(alpha, condition, CARRIERS)
+    np.testing.assert_array_equal(alpha, before)
+    with without_kernel():
+        np.testing.assert_allclose(found, add_force_noise(alpha, condition, CARRIERS), rtol=1e-9)
+    frequency = np.geomspace(1e-12, 1e6, 500)
+    tables = get_force_noise(material.mechanics, probe, CARRIERS)
+    with without_kernel():
+        plain = tables.compute_body_gain(frequency)
+    np.testing.assert_allclose(tables.compute_body_gain(frequency), plain, rtol=1e-9)
+    inside = frequency[(frequency > 20.0) & (frequency < 4e3)]
+    exact = np.abs(body_response(inside, get_probe(probe)))
+    np.testing.assert_allclose(tables.compute_body_gain(inside), exact, rtol=1e-3)
 
 
 @pytest.mark.parametrize("probe", ["pen", "finger"])

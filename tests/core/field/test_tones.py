@@ -20,7 +20,7 @@ from hnf_core.field.live.emission import LiveEmission
 from hnf_core.field.live.hand_tracker import LiveState
 from hnf_core.field.live.synthesis import create_live_synthesis
 from hnf_core.field.prepare import prepare_stroke
-from hnf_core.field.stroke import StrokeInput, build_condition
+from hnf_core.field.stroke import StrokeInput, build_condition, interpolate_position
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.tones import SCATTER_LENGTH_M, LineCourse, PitchScatter, compute_tone_offsets, count_turns
 from hnf_core.field.weights import load_field
@@ -251,10 +251,14 @@ def test_a_part_is_rendered_as_the_whole():
     assert isinstance(prepared.course.lines, LineCourse)
     assert prepared.tone_amplitude is not None
     knots = 50 * np.arange(len(prepared.tone_amplitude))
-    whole = prepared.course.lines.render(prepared.action, knots, prepared.tone_amplitude, 0, 20_000)
+    whole = prepared.course.lines.render(
+        prepared.action, knots, prepared.tone_amplitude, 0, interpolate_position(prepared.action, 0, 20_000)
+    )
     assert rms(whole) > 0.3
     for start, count in ((0, 777), (4096, 4096), (19_000, 1000)):
-        part = prepared.course.lines.render(prepared.action, knots, prepared.tone_amplitude, start, count)
+        part = prepared.course.lines.render(
+            prepared.action, knots, prepared.tone_amplitude, start, interpolate_position(prepared.action, start, count)
+        )
         np.testing.assert_array_equal(part, whole[start : start + count])
 
 
@@ -328,6 +332,8 @@ def test_the_kernel_renders_as_numpy_does(seed, start, count, uneven):
     course = LineCourse(found, wavenumber, count_turns(wavenumber, position), scatter, displacement)
     knots = np.unique(np.concatenate([[0, 750], rng.integers(0, 750, 9)]))
     amplitude = rng.uniform(0.0, 1.0, (len(knots), 9)) * (rng.random(9) > 0.3)
-    found = course.render(action, knots, amplitude, start, count)
+    found = course.render(action, knots, amplitude, start, interpolate_position(action, start, count))
     with without_kernel():
-        np.testing.assert_allclose(found, course.render(action, knots, amplitude, start, count), atol=2e-5)
+        np.testing.assert_allclose(
+            found, course.render(action, knots, amplitude, start, interpolate_position(action, start, count)), atol=2e-5
+        )
