@@ -118,7 +118,7 @@ def test_one_state_is_the_batch_of_one(probe):
 @pytest.mark.parametrize("probe", PROBE_NAMES)
 @pytest.mark.parametrize("name", ["sandpaper", "corduroy"])
 def test_the_kernel_adds_what_numpy_adds(name, probe):
-    field, material = load_field(), get_material(name)
+    material = get_material(name)
     stroke = uniform_stroke(make_steady_action(0.1, 0.1, 1.0, 0.3, probe), material.token, material.mechanics)
     action, index = resample_action(stroke)
     lines = find_lines(material.token[None])
