@@ -244,7 +244,7 @@ int main(int given, char **words)
     }
     hnf_contact_motion_(&drawn_over, drives, COUNT + 2, COUNT, dragged, upward, along);
     say("upward", upward, COUNT, 9), say("along", along, COUNT, 9), say("dragged", dragged, 5, 9);
-    double phases[4] = {0.1, 0.2, 3.1, 5.2}, waves[2] = {500.0, 1000.0}, loud[12], factors[3] = {1.0, 2.0, 3.0};
+    double phases[4] = {0.1, 0.2, 3.1, 5.2}, waves[2] = {500.0, 1000.0}, loud[12];
     double onward[COUNT], sung[COUNT] = {0.0}, shifts[8], begins[6], displaced[2 * 50];
     int64_t ends[2] = {0, COUNT};
     for (int i = 0; i < 12; i++)
@@ -257,7 +257,7 @@ int main(int given, char **words)
         shifts[i] = 0.02 * i;
     for (int i = 0; i < 6; i++)
         begins[i] = 0.618 * (i + 1);
-    hnf_tones_course lines = {phases, waves, shifts, loud, factors, begins, ends, 2, 2, 3, 2, COUNT};
+    hnf_tones_course lines = {phases, waves, shifts, loud, begins, ends, 2, 2, 3, 2, COUNT};
     hnf_displacement moved_lines = {displaced, 50, -1e-4, 1e4};
     hnf_tones_(&lines, &moved_lines, onward, onward, 0, COUNT, sung);
     say("tones", sung, COUNT, 5);

@@ -42,9 +42,6 @@ SCATTER_MARGIN = 64
 """Places computed beyond those asked for, so that a hand that goes on finds them."""
 
 
-_FACTORS = np.array(HARMONICS, dtype=np.float64)
-
-
 def count_turns(wavenumber: Float, position: Float) -> Float:
     """Return the phase (n, L) of each line at n states [turns], from 0 at the first; position: (n,) along the path [m].
 
@@ -227,7 +224,7 @@ def make_renderer(
     """Make the kernel's renderer of lines; see ToneRenderer."""
     return ToneRenderer(
         np.ascontiguousarray(turns), np.ascontiguousarray(between), np.ascontiguousarray(scatter),
-        np.ascontiguousarray(knots, dtype=np.int64), np.ascontiguousarray(amplitude, dtype=np.float64), _FACTORS,
+        np.ascontiguousarray(knots, dtype=np.int64), np.ascontiguousarray(amplitude, dtype=np.float64), len(HARMONICS),
         compute_tone_offsets(lines), SAMPLES_PER_STATE,
     )  # fmt: skip
 
@@ -253,7 +250,9 @@ def follow_lines(
     lines = find_lines(tokens)
     if not lines.count:
         return None
-    wavenumber, scatter = lines.project(token_index, action.direction).wavenumber, make_scatter(lines, mechanics)
+    angle = np.arctan2(action.direction[:, 1], action.direction[:, 0])[:, None]
+    wavenumber = lines.wavenumber[token_index] * np.abs(np.cos(lines.angle[token_index] - angle))
+    scatter = make_scatter(lines, mechanics)
     displacement = PitchScatter(seed) if scatter.any() else None
     turns = count_turns(wavenumber, action.position)
     return LineCourse(lines, wavenumber, turns, scatter[token_index], displacement)

@@ -526,10 +526,7 @@ class _DisplacementStruct(ctypes.Structure):
 
 class _TonesStruct(ctypes.Structure):
     _fields_ = (
-        *(
-            (name, ctypes.c_void_p)
-            for name in ("turns", "between", "scatter", "amplitude", "factors", "offsets", "knots")
-        ),
+        *((name, ctypes.c_void_p) for name in ("turns", "between", "scatter", "amplitude", "offsets", "knots")),
         *((name, ctypes.c_int64) for name in ("states", "lines", "harmonics", "knot_count", "per_state")),
     )
 
@@ -549,8 +546,8 @@ class ToneRenderer:
         (m,) ascending samples of the amplitudes.
     amplitude
         (m, L · harmonics) RMS of the tones there [m/s²].
-    factors
-        (harmonics,) multiples of a line's wavenumber.
+    harmonics
+        Number of tones of each line, at 1, 2, … times its wavenumber.
     offsets
         (L · harmonics,) phase of the tones where the path begins [turns].
     samples_per_state
@@ -558,18 +555,18 @@ class ToneRenderer:
     """
 
     def __init__(
-        self, turns: Float, between: Float, scatter: Float, knots: NDArray[np.int64], amplitude: Float, factors: Float,
+        self, turns: Float, between: Float, scatter: Float, knots: NDArray[np.int64], amplitude: Float, harmonics: int,
         offsets: Float, samples_per_state: int,
     ) -> None:  # fmt: skip
-        states, lines, tones = *turns.shape, turns.shape[1] * len(factors)
+        states, lines, tones = *turns.shape, turns.shape[1] * harmonics
         shapes = between.shape, scatter.shape, amplitude.shape, offsets.shape
         if shapes != ((max(states - 1, 1), lines), (states, 2, lines), (len(knots), tones), (tones,)):
             raise ValueError(f"{turns.shape} phases with {shapes}")
-        arrays = turns, between, scatter, amplitude, factors, offsets
+        arrays = turns, between, scatter, amplitude, offsets
         self._arrays = *arrays, knots
         self._struct = _TonesStruct(
             *(get_address(array, np.float64) for array in arrays), get_address(knots, np.int64), states, lines,
-            len(factors), len(knots), samples_per_state,
+            harmonics, len(knots), samples_per_state,
         )  # fmt: skip
 
     def render(

@@ -224,9 +224,9 @@ HNF_EXPORT void hnf_tap(const hnf_normal_contact *contact, const double *modes, 
 
 /* Lines along a path. turns: (states, lines) phases, between: (states - 1, lines) wavenumbers [1/m], scatter: (states, 2,
  * lines) turns by a displacement of 1. knots: (knot_count,) ascending samples, amplitude: (knot_count, lines * harmonics)
- * there. factors: (harmonics,). offsets: (lines * harmonics,) turns at the begin. */
+ * there. offsets: (lines * harmonics,) turns at the begin. */
 typedef struct {
-    const double *turns, *between, *scatter, *amplitude, *factors, *offsets;
+    const double *turns, *between, *scatter, *amplitude, *offsets;
     const int64_t *knots;
     int64_t states, lines, harmonics, knot_count, per_state;
 } hnf_tones_course;
