@@ -243,7 +243,7 @@ def add_force_noise(alpha: Float, condition: Condition, carriers: Carriers) -> F
     kernel, alpha = load_kernel(), np.array(alpha, dtype=np.float64, order="C")
     speed, force, moving = _get_rubbing(condition)
     scale = _compute_scale(condition, moving)
-    for rows, tables in _iterate_materials(condition, carriers):
+    for rows, tables in _iterate_materials(condition, moving, carriers):
         if kernel is not None and tables.compiled is not None:
             rubbing = np.stack([speed[rows], force[rows], scale[rows]], axis=1)
             tables.compiled.add(kernel, alpha, rows, rubbing)
@@ -268,15 +268,16 @@ def compute_force_noise_power(condition: Condition, carriers: Carriers) -> tuple
     power, gain = np.zeros((len(condition.speed), carriers.count)), np.ones((len(condition.speed), carriers.count))
     speed, force, moving = _get_rubbing(condition)
     scale = _compute_scale(condition, moving)
-    for rows, tables in _iterate_materials(condition, carriers):
+    for rows, tables in _iterate_materials(condition, moving, carriers):
         gain[rows] = tables.compute_body_power(speed[rows])
         power[rows] = tables.compute_power(speed[rows], force[rows]) * scale[rows, None] * gain[rows]
     return power, gain
 
 
-def _iterate_materials(condition: Condition, carriers: Carriers) -> Iterator[tuple[NDArray[np.intp], ForceNoise]]:
-    """Yield the moving states (m,) of each material, and its tables."""
-    _, _, moving = _get_rubbing(condition)
+def _iterate_materials(
+    condition: Condition, moving: Float, carriers: Carriers
+) -> Iterator[tuple[NDArray[np.intp], ForceNoise]]:
+    """Yield the states (m,) of each material that move, by `moving` (n,), and its tables."""
     for index, mechanics in enumerate(condition.mechanics):
         of_material = np.flatnonzero((condition.material == index) & (moving > 0.0))
         for rows, rest in _separate_threads(condition, of_material, mechanics):

@@ -7,6 +7,7 @@ across it; each of them and its second and third harmonic have an output of F_Θ
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +178,13 @@ class Lines:
 
 def find_lines(tokens: NDArray[np.float32]) -> Lines:
     """Find the lines of material tokens (M, TOKEN_DIM): along the axis of a band's waves, and across it."""
-    feature = split_bands(tokens)
+    return _find_lines(np.asarray(tokens, dtype=np.float32).tobytes(), len(tokens))
+
+
+@lru_cache(maxsize=64)
+def _find_lines(tokens: bytes, materials: int) -> Lines:
+    """Find the lines of tokens given as bytes: strokes over the same materials ask for them again and again."""
+    feature = split_bands(np.frombuffer(tokens, dtype=np.float32).reshape(materials, -1))
     axis = 0.25 * np.arctan2(feature["sin4"], feature["cos4"])
     twofold = feature["cos2"] * np.cos(2.0 * axis) + feature["sin2"] * np.sin(2.0 * axis)
     along, fourfold = np.clip(0.5 * (1.0 + twofold), 0.0, 1.0), np.hypot(feature["cos4"], feature["sin4"])
@@ -186,7 +193,10 @@ def find_lines(tokens: NDArray[np.float32]) -> Lines:
     wavenumber = np.where(is_line, np.tile(compute_line_wavenumbers(feature), 2), 0.0)
     angle = np.concatenate([axis, axis + 0.5 * np.pi], axis=1)
     # Taking columns leaves arrays in Fortran's order, which the kernel does not read.
-    return Lines(column, np.ascontiguousarray(wavenumber[:, column]), np.ascontiguousarray(angle[:, column]))
+    lines = Lines(column, np.ascontiguousarray(wavenumber[:, column]), np.ascontiguousarray(angle[:, column]))
+    for shared in (lines.column, lines.wavenumber, lines.angle):
+        shared.setflags(write=False)
+    return lines
 
 
 def compute_line_shares(peak: Float, along: Float, fourfold: Float) -> Float:
