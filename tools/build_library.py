@@ -28,8 +28,8 @@ from hnf_core.simulation.material_classes import (
     derive_seed,
 )
 from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, height_map
-from hnf_core.simulation.texture_statistics import TextureStatistics, compute_texture_statistics
 from hnf_core.tactile.height import tactile_map_from_height
+from hnf_lab.evaluation.texture_statistics import TextureStatistics, compute_texture_statistics
 from hnf_lab.experiments.simulator import check_ranges
 
 SCHEMA = 1

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from hnf_core.field.weights import DEFAULT_WEIGHTS, HELD_OUT_WEIGHTS, save_field
-from hnf_core.training.train_shared import HELD_OUT, SHARED_CONFIG, TrainingPlan, train_shared_field
+from hnf_lab.shared_field.train_shared import HELD_OUT, SHARED_CONFIG, TrainingPlan, train_shared_field
 
 CACHE = ROOT / "build" / "shared-field"
 

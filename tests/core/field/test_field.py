@@ -21,7 +21,7 @@ from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import load_library
 from hnf_core.material.token import BAND_FEATURES, ENCODER_ID, TOKEN_DIM
 from hnf_core.metrics.spectra import spectrum_distance_db, welch
-from hnf_core.simulation.texture_statistics import STROKE_ANGLES_RAD
+from hnf_lab.evaluation.texture_statistics import STROKE_ANGLES_RAD
 
 FREQUENCY = np.arange(2.0, 5000.0, 2.0)
 ALONG, ACROSS = (1.0, 0.0), (0.0, 1.0)

@@ -21,7 +21,7 @@ from hnf_core.simulation.material_classes import (
     sample_instance,
 )
 from hnf_core.simulation.surface_recipe import SurfaceRecipe, height_map
-from hnf_core.simulation.texture_statistics import aggregate_strokes, simulate_strokes
+from hnf_lab.evaluation.texture_statistics import aggregate_strokes, simulate_strokes
 from hnf_lab.experiments.simulator import HATT_RANGES, check_ranges, compute_instrument_noise
 
 CATEGORIES = {

@@ -16,7 +16,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.datasets.hatt_touch import HattTouchFolder
 from hnf_core.datasets.tactile_pairs import (
     HELD_OUT_CLASSES,
     HELD_OUT_INSTANCES,
@@ -40,6 +39,7 @@ from hnf_core.errors import FileError, UsageError
 from hnf_core.simulation.material_classes import list_classes
 from hnf_core.tactile.optics import SENSORS, Sensor, perturb_sensor
 from hnf_core.tactile.views import VIEW_PIXELS
+from hnf_lab.alignment.hatt_touch import HattTouchFolder
 
 Float32 = NDArray[np.float32]
 Rows = NDArray[np.int64]

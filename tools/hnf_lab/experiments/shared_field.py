@@ -32,7 +32,10 @@ from hnf_core.field.weights import DEFAULT_WEIGHTS, HELD_OUT_WEIGHTS, load_field
 from hnf_core.simulation.material_classes import get_category, list_classes
 from hnf_core.training.fit import Schedule, build_training_set, fit_network
 from hnf_core.training.model import FieldNetwork
-from hnf_core.training.references import (
+from hnf_core.training.simulated_strokes import StrokeCondition, make_middle_conditions, make_speed_grid
+from hnf_lab import ROOT
+from hnf_lab.bootstrap import Interval, bootstrap_mean
+from hnf_lab.shared_field.references import (
     PATCHES,
     SECONDS,
     STARTS,
@@ -42,8 +45,7 @@ from hnf_core.training.references import (
     predict_spectra,
     select_materials,
 )
-from hnf_core.training.simulated_strokes import StrokeCondition, make_middle_conditions, make_speed_grid
-from hnf_core.training.train_shared import (
+from hnf_lab.shared_field.train_shared import (
     HELD_OUT,
     SHARED_CONFIG,
     TrainingPlan,
@@ -51,9 +53,7 @@ from hnf_core.training.train_shared import (
     load_or_build_training_data,
     load_or_simulate_references,
 )
-from hnf_core.training.training_data import Sizes, TrainingData, build_training_data, load_specimens
-from hnf_lab import ROOT
-from hnf_lab.bootstrap import Interval, bootstrap_mean
+from hnf_lab.shared_field.training_data import Sizes, TrainingData, build_training_data, load_specimens
 
 Float = NDArray[np.float64]
 

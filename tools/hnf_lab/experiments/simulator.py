@@ -41,13 +41,13 @@ from hnf_core.simulation.simulate import (
     straight_stroke,
 )
 from hnf_core.simulation.surface_recipe import Noise, SurfaceRecipe, height_map
-from hnf_core.simulation.texture_statistics import (
+from hnf_lab import ROOT
+from hnf_lab.evaluation.texture_statistics import (
     TextureStatistics,
     aggregate_strokes,
     compute_fused_spectra,
     simulate_strokes,
 )
-from hnf_lab import ROOT
 
 Range = tuple[float, float]
 

@@ -11,7 +11,6 @@ torch = pytest.importorskip("torch")
 
 from shared_field_builders import gather_strokes, make_references, network
 
-from hnf_core.training.references import compute_distances_db, select_materials
 from hnf_lab.bootstrap import bootstrap_mean
 from hnf_lab.experiments.shared_field import (
     measure_directions,
@@ -19,6 +18,7 @@ from hnf_lab.experiments.shared_field import (
     measure_training_token_db,
     measure_unseen_materials,
 )
+from hnf_lab.shared_field.references import compute_distances_db, select_materials
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hnf_core.simulation.texture_statistics import TextureStatistics, aggregate_strokes
+from hnf_lab.evaluation.texture_statistics import TextureStatistics, aggregate_strokes
 from hnf_lab.experiments.simulator import HATT_RANGES, check_ranges, compute_instrument_noise, fill_markers, make_row
 
 MIDDLE = TextureStatistics(1.0, 1.0, 1.0, 250.0, 0.97, 0.9, 0.2)

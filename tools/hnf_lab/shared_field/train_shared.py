@@ -14,18 +14,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from .. import simulation as simulation_room
-from ..action.synthetic_actions import make_steady_action
-from ..datasets.tactile_pairs import UNSEEN_CLASSES
-from ..field.field import Field, FieldConfig
-from ..field.training_ranges import TrainingRanges, compute_training_ranges
-from ..files import write_atomically
-from ..material import contact_model
-from ..material.encoder_registry import get_encoder
-from ..material.token import ENCODER_ID
-from .fit import Schedule, build_training_set, fit_network
-from .model import FieldNetwork
-from .references import (
+from hnf_core import simulation as simulation_room
+from hnf_core.action.synthetic_actions import make_steady_action
+from hnf_core.datasets.tactile_pairs import UNSEEN_CLASSES
+from hnf_core.field.field import Field, FieldConfig
+from hnf_core.field.training_ranges import TrainingRanges, compute_training_ranges
+from hnf_core.files import write_atomically
+from hnf_core.material import contact_model
+from hnf_core.material.encoder_registry import get_encoder
+from hnf_core.material.token import ENCODER_ID
+from hnf_core.training.fit import Schedule, build_training_set, fit_network
+from hnf_core.training.model import FieldNetwork
+from hnf_core.training.simulated_strokes import Specimen, StrokeCondition, make_middle_conditions, make_speed_grid
+from hnf_lab.shared_field.references import (
     References,
     compute_new_patch_distances_db,
     load_references,
@@ -33,8 +34,7 @@ from .references import (
     select_materials,
     simulate_references,
 )
-from .simulated_strokes import Specimen, StrokeCondition, make_middle_conditions, make_speed_grid
-from .training_data import (
+from hnf_lab.shared_field.training_data import (
     Sizes,
     TrainingData,
     build_training_data,

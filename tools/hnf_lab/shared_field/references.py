@@ -15,13 +15,21 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..errors import FileError
-from ..field.field import FieldConfig
-from ..files import write_bytes
-from ..safetensors_io import dump_tensors, load_tensors
-from .fit import Likelihood, build_network_inputs
-from .model import FieldNetwork
-from .simulated_strokes import FINE_BINS, Specimen, SteadyStroke, StrokeCondition, Surface, make_patches, record_strokes
+from hnf_core.errors import FileError
+from hnf_core.field.field import FieldConfig
+from hnf_core.files import write_bytes
+from hnf_core.safetensors_io import dump_tensors, load_tensors
+from hnf_core.training.fit import Likelihood, build_network_inputs
+from hnf_core.training.model import FieldNetwork
+from hnf_core.training.simulated_strokes import (
+    FINE_BINS,
+    Specimen,
+    SteadyStroke,
+    StrokeCondition,
+    Surface,
+    make_patches,
+    record_strokes,
+)
 
 Float = NDArray[np.float64]
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.contact_model import Mechanics
-from ..material.probe import Probe
-from ..signal import dft321
-from .contact_dynamics import Physics, SmoothedMaps
-from .simulate import FULL_PHYSICS, PEN, SAMPLE_RATE_HZ, simulate_batch, straight_stroke
+from hnf_core.material.contact_model import Mechanics
+from hnf_core.material.probe import Probe
+from hnf_core.signal import dft321
+from hnf_core.simulation.contact_dynamics import Physics, SmoothedMaps
+from hnf_core.simulation.simulate import FULL_PHYSICS, PEN, SAMPLE_RATE_HZ, simulate_batch, straight_stroke
 
 Float = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from picture_files import linear, write_picture
 
-from hnf_core.datasets.hatt_touch import HattTouchFolder
 from hnf_core.errors import FileError, UsageError
+from hnf_lab.alignment.hatt_touch import HattTouchFolder
 
 PHOTOS = ("ABS Plastic", "Brick 1", "Brick 2", "Wood")
 

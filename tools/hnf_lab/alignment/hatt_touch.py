@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 
-from ..errors import FileError
-from .data_files import find_files
-from .recording import normalise_name
-from .vision_touch import (
+from hnf_core.datasets.data_files import find_files
+from hnf_core.datasets.recording import normalise_name
+from hnf_core.datasets.vision_touch import (
     IMAGE_SUFFIXES,
     FilePairs,
     PairFiles,
@@ -28,6 +27,7 @@ from .vision_touch import (
     read_touch_image,
     resize_by_area,
 )
+from hnf_core.errors import FileError
 
 PHOTO_SIDE_M = 1024 / 15e3
 """Side of a HaTT photograph [m]: 1024 pixels at 15 per millimetre."""

@@ -15,7 +15,8 @@ from hnf_core.errors import FileError
 from hnf_core.material.library import LIBRARY_PATH
 from hnf_core.simulation.material_classes import list_classes
 from hnf_core.training.fit import Schedule, build_training_set
-from hnf_core.training.references import (
+from hnf_core.training.simulated_strokes import make_middle_conditions
+from hnf_lab.shared_field.references import (
     compute_distances_db,
     compute_new_patch_distances_db,
     load_references,
@@ -23,9 +24,8 @@ from hnf_core.training.references import (
     save_references,
     select_materials,
 )
-from hnf_core.training.simulated_strokes import make_middle_conditions
-from hnf_core.training.train_shared import TrainingPlan, collect_training_ranges, fit_shared_field
-from hnf_core.training.training_data import (
+from hnf_lab.shared_field.train_shared import TrainingPlan, collect_training_ranges, fit_shared_field
+from hnf_lab.shared_field.training_data import (
     Sizes,
     build_training_data,
     load_specimens,

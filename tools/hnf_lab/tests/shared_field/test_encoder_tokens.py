@@ -17,10 +17,10 @@ from hnf_core.material.alexnet_encoder import save_encoder
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM
 from hnf_core.training.fit import Schedule, TrainingSet
 from hnf_core.training.model import FieldNetwork
-from hnf_core.training.references import simulate_references
 from hnf_core.training.simulated_strokes import make_class_specimens, make_middle_conditions
-from hnf_core.training.train_shared import TrainingPlan, describe_field, fit_shared_field, load_or_encode_tokens
-from hnf_core.training.training_data import Sizes, build_training_data, encode_surfaces
+from hnf_lab.shared_field.references import simulate_references
+from hnf_lab.shared_field.train_shared import TrainingPlan, describe_field, fit_shared_field, load_or_encode_tokens
+from hnf_lab.shared_field.training_data import Sizes, build_training_data, encode_surfaces
 
 SIZES = Sizes(instances=1, patches=1, described=1, strokes=2, random=2, random_strokes=1, seconds=0.3)
 SPECIMENS = make_class_specimens([1])[::20]
@@ -63,7 +63,7 @@ def test_every_make_adds_variants_described_by_it(gathered, monkeypatch):
         seen.append(data)
         return FieldNetwork(config_, {name: np.zeros(shape, np.float32) for name, shape in config_.shapes().items()})
 
-    monkeypatch.setattr("hnf_core.training.train_shared.fit_network", watch)
+    monkeypatch.setattr("hnf_lab.shared_field.train_shared.fit_network", watch)
     fit_shared_field(gathered, PLAN, config, 0)
     fit_shared_field(gathered, PLAN, config, 0, [gathered.tokens + np.float32(0.25)])
     alone, both = (data.x.numpy()[:, :, :TOKEN_DIM] for data in seen)

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FileError
-from ..field.features import PROBE_KINDS
-from ..files import write_bytes
-from ..material.contact_model import Mechanics
-from ..safetensors_io import dump_tensors, load_tensors
-from .simulated_strokes import (
+from hnf_core.errors import FileError
+from hnf_core.field.features import PROBE_KINDS
+from hnf_core.files import write_bytes
+from hnf_core.material.contact_model import Mechanics
+from hnf_core.safetensors_io import dump_tensors, load_tensors
+from hnf_core.training.simulated_strokes import (
     Specimen,
     SteadyStroke,
     draw_steady_strokes,
