@@ -118,16 +118,6 @@ def round_likely(material: SlotMaterial) -> dict[str, float]:
     return {name: round(probability, 4) for name, probability in material.likely}
 
 
-def describe_choice(material: SlotMaterial) -> dict[str, str | float]:
-    """Return which library material a slot was taken for, how sure that is and why, for the report."""
-    return {
-        "shader": material.shader,
-        "library_material": material.library.name,
-        "confidence": round(material.confidence, 4),
-        "reason": material.reason,
-    }
-
-
 def format_guess_note(material: SlotMaterial, object_name: str) -> str:
     """Return a note for a material that is a mere guess; "" for any other."""
     if material.reason == CHOSEN_BY_ARTIST or material.confidence >= GUESS_CONFIDENCE:

@@ -22,7 +22,7 @@ from hnf_core.signal import Signal
 
 from ..bridge.scene.temp_scene import suppress_output
 from .bake_patches import get_encoder_name, get_resolved_wavelength, get_widest_map
-from .material_choice import SlotMaterial, describe_choice, format_certainty, round_likely
+from .material_choice import SlotMaterial, format_certainty, round_likely
 from .report import StrokeReport
 from .session import StrokeJob
 from .synthesise import BakedStroke, SynthesisedStroke, add_provenance, get_signal_facts, make_stroke_input
@@ -103,8 +103,7 @@ def write_stroke_files(
         tactile_map_weights="" if record.predicted is None else record.predicted.weights,
         picture_key=picture_key,
         likely=round_likely(main),
-        along=_describe_patches(baked),
-        materials=[describe_choice(material) for material in baked.touched_materials],
+        materials=_describe_patches(baked),
         off_surface=round(baked.off_surface, 4),
     )
 
@@ -114,13 +113,16 @@ def _describe_patches(baked: BakedStroke) -> list[dict[str, Any]]:
     touched = baked.patch_index[baked.patch_index >= 0]
     return [
         {
-            "library_material": baked.materials[index].library.name,
-            "confidence": round(baked.materials[index].confidence, 4),
-            "likely": round_likely(baked.materials[index]),
+            "shader": material.shader,
+            "library_material": material.library.name,
+            "confidence": round(material.confidence, 4),
+            "reason": material.reason,
+            "likely": round_likely(material),
             "routes": routes_by_band(baked.fused[index].routes, baked.records[index].mesh_bands),
             "time_share": round(float(np.mean(touched == index)), 4),
         }
         for index in dict.fromkeys(touched.tolist())
+        for material in [baked.materials[index]]
     ]
 
 

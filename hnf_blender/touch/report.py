@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple
 from hnf_core.files import write_text
 from hnf_core.progress import add_work
 
-SCHEMA = "hnf-touch-report-1"
+SCHEMA = "hnf-touch-report-2"
 REPORT_NAME = "report.json"
 
 
@@ -46,12 +46,10 @@ class StrokeReport:
         Hash of everything the plot shows besides the touch.
     likely : Mapping[str, float]
         The first three library materials that it could be, by probability; empty if one alone is felt.
-    along : sequence of mapping
-        What each patch was taken for, in the order in which they are touched: library_material, confidence, likely,
-        routes, and time_share, its fraction of the contact.
     materials : sequence of Mapping
-        Every touched material, in the order in which they are met: `shader`, `library_material`, `confidence` in that
-        choice alone (whereas `confidence` of the stroke is that of the entire signal), and `reason`.
+        What the surface was taken for, patch by patch in the order in which they are touched: `shader`,
+        `library_material`, `confidence` in that choice alone (whereas `confidence` of the stroke is that of the entire
+        signal), `reason`, `likely`, `routes`, and `time_share`, the patch's fraction of the contact.
     off_surface : float
         Fraction of its time, 0 to 1, that it presses beside its surface, where it is silent.
     """
@@ -80,7 +78,6 @@ class StrokeReport:
     picture_key: str = ""
     likely: Mapping[str, float] = field(default_factory=dict)
     fields: Mapping[str, str] = field(default_factory=dict)
-    along: Sequence[Mapping[str, Any]] = ()
     materials: Sequence[Mapping[str, Any]] = ()
     off_surface: float = 0.0
 

@@ -109,10 +109,10 @@ def test_two_materials_in_one_cloud_are_told_apart(tmp_path) -> None:
         code, report = touch(path, tmp_path / name, *words)
         assert code == 0
         (entry,) = report["strokes"]
-        along[name] = entry["along"]
+        along[name] = entry["materials"]
         (signal[name],) = signals(tmp_path / name, report).values()
         assert set(entry["routes"].values()) == {"prior"}
-        assert sum(each["time_share"] for each in entry["along"]) == pytest.approx(1.0, abs=1e-3)
+        assert sum(each["time_share"] for each in entry["materials"]) == pytest.approx(1.0, abs=1e-3)
     first, *_, last = along["both"]
     assert first["library_material"] == along["brown"][0]["library_material"] == "oak-wood"
     assert last["library_material"] == along["white"][-1]["library_material"] == "copy-paper"

@@ -77,11 +77,12 @@ def test_text_and_curve_are_reported_with_their_materials(stroke_properties, tmp
     assert {stroke["object"] for stroke in report["strokes"]} == {"Text", "BézierCircle"}
     assert report["skipped"] == []
     for stroke in report["strokes"]:
-        (choice,) = stroke["materials"]
-        assert choice["shader"] == stroke["material"]
-        assert choice["library_material"] == stroke["library_material"]
-        assert choice["reason"]
-        assert 0.0 < choice["confidence"] <= 1.0
+        assert sum(choice["time_share"] for choice in stroke["materials"]) == pytest.approx(1.0, abs=1e-3)
+        for choice in stroke["materials"]:
+            assert choice["shader"] == stroke["material"]
+            assert choice["library_material"] == stroke["library_material"]
+            assert choice["reason"]
+            assert 0.0 < choice["confidence"] <= 1.0
 
 
 def test_everything_else_is_named_with_its_own_reason(stroke_properties, tmp_path):
