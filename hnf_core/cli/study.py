@@ -163,7 +163,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _run_stimuli(arguments: argparse.Namespace) -> int:
     """Run `hnf study stimuli`; return the exit code. Raises HnfError."""
     from ..datasets.registry import open_dataset
-    from ..study.recorded_stimuli import write_stimuli
+    from ..study.plan import write_stimuli
 
     if not 0.1 <= arguments.seconds <= 60.0:
         raise UsageError(f"--seconds {arguments.seconds:g}: give 0.1 to 60.")
@@ -186,7 +186,7 @@ def _run_stimuli(arguments: argparse.Namespace) -> int:
 def _run_make(arguments: argparse.Namespace) -> int:
     """Run `hnf study make`; return the exit code. Raises HnfError."""
     from ..study.plan import compare_files, compare_methods, make_study
-    from ..study.statistics import find_trial_count
+    from ..study.results import find_trial_count
 
     if bool(arguments.pair) == bool(arguments.method):
         raise UsageError("a study compares files or methods.", remedy="Give --pair A.wav B.wav, or --method twice.")
@@ -261,8 +261,8 @@ def _run_session(arguments: argparse.Namespace) -> int:
 
 def _run_page(arguments: argparse.Namespace) -> int:
     """Run `hnf study page`; return the exit code. Raises HnfError."""
-    from ..study.page import write_page
     from ..study.plan import load_plan
+    from ..study.presentation import write_page
     from ..study.responses import RESPONSES_NAME
 
     full_scale = write_page(arguments.out, arguments.folder, load_plan(arguments.folder), arguments.full_scale)

@@ -22,12 +22,14 @@ from ..errors import FileError, UsageError
 from ..files import content_hash
 from ..material.band_descriptor import describe
 from ..material.contact_model import Mechanics
-from ..simulation.appearance.albedo import compute_cavity_depth, render_albedo
-from ..simulation.appearance.instance import SurfaceAppearance, sample_appearance
-from ..simulation.appearance.shading import (
+from ..simulation.appearance import (
+    SurfaceAppearance,
     centred_grid,
     compute_ambient_occlusion,
+    compute_cavity_depth,
     interpolate_bilinear,
+    render_albedo,
+    sample_appearance,
     sample_light,
     sample_shape,
     shade_surface,

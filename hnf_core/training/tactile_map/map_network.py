@@ -16,8 +16,17 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ...datasets.tactile_pairs import Pairs, vary_photograph
-from ...tactile.diffusion.conditioning import NormalisedAppearance, build_condition, normalise_appearance
-from ...tactile.diffusion.predict import TRAIN_STEPS, alpha_bars, denoise, log_snr, noised, velocity
+from ...tactile.diffusion.predict import (
+    TRAIN_STEPS,
+    NormalisedAppearance,
+    alpha_bars,
+    build_condition,
+    denoise,
+    log_snr,
+    noised,
+    normalise_appearance,
+    velocity,
+)
 from ...tactile.diffusion.unet import HEADS, INPUT_CHANNELS, REGRESSION, MapConfig
 
 Array = NDArray[np.float32]

@@ -10,19 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.datasets.pair_generation import compute_slopes
-from hnf_core.simulation.appearance.albedo import (
+from hnf_core.simulation.appearance import (
+    PRINT_KINDS,
+    Light,
+    Mark,
+    Shape,
+    SurfaceAppearance,
+    centred_grid,
+    compute_ambient_occlusion,
     compute_cavity_depth,
+    interpolate_bilinear,
     render_albedo,
     render_lattice_pattern,
     render_streaks,
-)
-from hnf_core.simulation.appearance.instance import PRINT_KINDS, Mark, SurfaceAppearance, sample_appearance
-from hnf_core.simulation.appearance.shading import (
-    Light,
-    Shape,
-    centred_grid,
-    compute_ambient_occlusion,
-    interpolate_bilinear,
+    sample_appearance,
     sample_light,
     sample_shape,
     shade_surface,

@@ -17,8 +17,8 @@ from web_browser import Browser, needs_browser
 
 from hnf_core.errors import HnfError
 from hnf_core.export.wav import read_wav
-from hnf_core.study.page import write_page
 from hnf_core.study.plan import compare_files, compare_methods, find_stimulus, load_key, make_study, order_trials
+from hnf_core.study.presentation import write_page
 from hnf_core.study.responses import read_responses
 from hnf_core.study.results import evaluate_study
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import UsageError
-from hnf_core.study.statistics import (
+from hnf_core.study.results import (
     ALPHA,
     MAX_TRIALS,
     PRIOR_WINS,

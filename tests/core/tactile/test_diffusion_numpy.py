@@ -14,19 +14,25 @@ from tactile_networks import SMALL, architecture, look, random_parameters, rando
 
 from hnf_core.errors import FileError, UsageError, WeightsError
 from hnf_core.progress import count_work
-from hnf_core.tactile.diffusion.conditioning import normalise_view
 from hnf_core.tactile.diffusion.predict import (
     alpha_bars,
     ddim_step,
     denoise,
     noised,
+    normalise_view,
     predict_slopes,
     predict_tactile_maps,
     sampling_steps,
     velocity,
 )
-from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, build_unet
-from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
+from hnf_core.tactile.diffusion.unet import (
+    DIFFUSION,
+    REGRESSION,
+    MapConfig,
+    build_unet,
+    load_map_weights,
+    save_map_weights,
+)
 from hnf_core.tactile.optics import SENSORS, decode_gradients
 from hnf_core.tactile.tactile_map import Route
 from hnf_core.tactile.views import PITCHES_M

@@ -21,10 +21,16 @@ from hnf_core.datasets.tactile_pairs import SPLITS, get_shard_path, save_shard, 
 from hnf_core.errors import UsageError, WeightsError
 from hnf_core.material.fuse import compute_library_spread
 from hnf_core.material.token import LEVELS
-from hnf_core.tactile.diffusion.conditioning import normalise_view
-from hnf_core.tactile.diffusion.predict import predict_slopes
-from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, forward
-from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS, load_map_weights, save_map_weights
+from hnf_core.tactile.diffusion.predict import normalise_view, predict_slopes
+from hnf_core.tactile.diffusion.unet import (
+    DEFAULT_WEIGHTS,
+    DIFFUSION,
+    REGRESSION,
+    MapConfig,
+    forward,
+    load_map_weights,
+    save_map_weights,
+)
 from hnf_core.tactile.fourier_filters import frequencies
 from hnf_core.training.tactile_map.map_network import (
     MapNetwork,

@@ -15,10 +15,14 @@ from numpy.typing import NDArray
 
 from hnf_core.material.band_descriptor import describe
 from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, Token
-from hnf_core.tactile.diffusion.conditioning import build_condition, get_pitch_index, normalise_view
-from hnf_core.tactile.diffusion.predict import log_snr, predict_tactile_maps
-from hnf_core.tactile.diffusion.unet import UNet, build_unet, forward
-from hnf_core.tactile.diffusion.weights import MapWeights, load_map_weights
+from hnf_core.tactile.diffusion.predict import (
+    build_condition,
+    get_pitch_index,
+    log_snr,
+    normalise_view,
+    predict_tactile_maps,
+)
+from hnf_core.tactile.diffusion.unet import MapWeights, UNet, build_unet, forward, load_map_weights
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import TactileMap
 from hnf_core.tactile.views import AppearanceView, cut_views

@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--seed must be at least 0, --tiles 2.")
     from dataclasses import replace
 
-    from hnf_core.tactile.diffusion.weights import load_map_weights
+    from hnf_core.tactile.diffusion.unet import load_map_weights
 
     from ..evaluation.tactile_map.report import format_map_report, report_to_json, write_plots
     from ..evaluation.tactile_map.run import QUICK_SIZES, MapSetup, MapSizes, measure_maps

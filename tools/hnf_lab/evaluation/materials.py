@@ -31,13 +31,18 @@ from hnf_core.material.library import get_material
 from hnf_core.material.shared_space import SharedSpace, find_touch, load_space
 from hnf_core.material.token import ENCODER_NAMES
 from hnf_core.metrics.spectra import select_compared_bins, welch
-from hnf_core.simulation.appearance.albedo import compute_cavity_depth, render_albedo
-from hnf_core.simulation.appearance.instance import sample_appearance
-from hnf_core.simulation.appearance.shading import compute_ambient_occlusion, sample_light, shade_surface
+from hnf_core.simulation.appearance import (
+    compute_ambient_occlusion,
+    compute_cavity_depth,
+    render_albedo,
+    sample_appearance,
+    sample_light,
+    shade_surface,
+)
 from hnf_core.simulation.material_classes import CLASS_ENTRIES, get_category
 from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map
 from hnf_core.tactile.diffusion.predict import predict_tactile_maps
-from hnf_core.tactile.diffusion.weights import load_map_weights
+from hnf_core.tactile.diffusion.unet import load_map_weights
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.optics import SENSORS
 from hnf_core.tactile.tactile_map import Route

@@ -40,7 +40,7 @@ from hnf_core.material.library import (
 from hnf_core.material.name_matching import CATEGORY_WORDS, is_image_name
 from hnf_core.material.ranking import Suggestion, rank
 from hnf_core.material.token import LEVELS, Token, band_slice
-from hnf_core.simulation.appearance.instance import sample_appearance
+from hnf_core.simulation.appearance import sample_appearance
 from hnf_core.simulation.material_classes import derive_seed, get_category, list_classes, sample_instance
 from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, height_map
 from hnf_core.tactile.height import tactile_map_from_height

@@ -25,11 +25,11 @@ from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.encoder_registry import Encoder, describe_views
 from hnf_core.material.token import Token
 from hnf_core.safetensors_io import dump_tensors, load_tensors
-from hnf_core.simulation.appearance.shading import interpolate_bilinear
+from hnf_core.simulation.appearance import interpolate_bilinear
 from hnf_core.simulation.material_classes import get_category
 from hnf_core.simulation.surface_recipe import TILE_PIXELS
 from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict_slopes
-from hnf_core.tactile.diffusion.weights import MapWeights
+from hnf_core.tactile.diffusion.unet import MapWeights
 from hnf_core.tactile.optics import get_sensor, limit_slope, shade
 from hnf_core.tactile.tactile_map import Route, TactileMap
 from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, AppearanceView, cut_views, decimate_tile, find_view_corners

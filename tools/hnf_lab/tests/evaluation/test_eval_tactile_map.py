@@ -24,8 +24,7 @@ from hnf_core.field.weights import load_field
 from hnf_core.material.encoder_registry import get_encoder
 from hnf_core.material.library import get_material
 from hnf_core.material.token import ENCODER_ID
-from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
-from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
+from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, load_map_weights, save_map_weights
 from hnf_core.tactile.views import AppearanceView
 from hnf_core.training.simulated_strokes import make_middle_conditions, make_speed_grid
 from hnf_lab.bootstrap import bootstrap_mean, bootstrap_ratio
