@@ -38,7 +38,7 @@ from hnf_core.tactile.views import PITCHES_M, AppearanceView, cut_views, measure
 from hnf_core.threads import single_blas_thread
 
 from ..bridge.render.closeup import CloseUp, CloseUpRenderer
-from ..bridge.render.unlit_image import MAX_READABLE_WAVELENGTH_M, UnlitImage
+from ..bridge.render.cycles import MAX_READABLE_WAVELENGTH_M, UnlitImage
 from ..bridge.scene.meshes import Surface
 from ..bridge.splats.splat_cloud import get_cloud
 from .patch_cache import (

@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from hnf_core.action.contacts import find_contacts
-from hnf_core.action.patches import plan_patches
+from hnf_core.action.contacts import find_contacts, plan_patches
 from hnf_core.action.stroke_placement import sample_candidates, smooth_for_placement
 from hnf_core.errors import HnfError, pluralize
 from hnf_core.files import content_hash
@@ -30,7 +29,7 @@ from hnf_core.tactile.tactile_map import Route
 from hnf_core.touch_request import TouchRequest
 
 from ..bridge.render.closeup import crop_to_patches, find_mesh_relief
-from ..bridge.render.unlit_image import MAX_READABLE_WAVELENGTH_M
+from ..bridge.render.cycles import MAX_READABLE_WAVELENGTH_M
 from ..bridge.scene.meshes import make_ray_caster
 from ..bridge.scene.scene_names import find_object
 from ..bridge.shader.closures import ReliefSource

@@ -122,7 +122,7 @@ def make_point_tokens(
     cloud = get_cloud(touched.obj)
     if cloud is None:
         return None
-    from hnf_core.scene.splats.voxel_grid import find_nearest_triangles
+    from hnf_core.scene.splats.tsdf import find_nearest_triangles
 
     mesh, source_face = touched.surface.mesh, touched.surface.source_face
     splats = compute_cloud_frame(touched.obj, cloud, touched.surface.stretch).to_surface(read_cloud(cloud).means)

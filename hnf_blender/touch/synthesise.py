@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
-from hnf_core.action.contacts import Contacts, find_contacts, require_contact
-from hnf_core.action.patches import action_from_contacts, plan_patches
+from hnf_core.action.contacts import Contacts, action_from_contacts, find_contacts, plan_patches, require_contact
 from hnf_core.errors import HnfError
 from hnf_core.field.field import Field
 from hnf_core.field.height_profile import build_stroke_profile
@@ -40,7 +39,7 @@ from hnf_core.signal import Signal
 from hnf_core.tactile.tactile_map import Route
 from hnf_core.threads import single_blas_thread
 
-from ..bridge.render.unlit_image import UnlitImage
+from ..bridge.render.cycles import UnlitImage
 from ..bridge.scene.scene_names import find_object
 from ..bridge.stroke.read_stroke import SceneStroke
 from .bake_patches import (

@@ -28,8 +28,7 @@ from .primitives import (
     Step,
     make_primitive,
 )
-from .stroke_tokens import BRIEF_S, LONG_S, NO_MOTION, Token, make_error, tokenize
-from .stroke_words import EXAMPLES, KNOWN_WORDS, LARGE, LEVELS
+from .stroke_tokens import BRIEF_S, EXAMPLES, KNOWN_WORDS, LARGE, LEVELS, LONG_S, NO_MOTION, Token, make_error, tokenize
 
 _SIDES = {"left": (-1, 0), "right": (1, 0), "top": (0, 1), "bottom": (0, -1)}
 _HEADINGS = {"leftward": (-1, 0), "rightward": (1, 0), "up": (0, 1), "down": (0, -1)}

@@ -12,7 +12,7 @@ from .hatt import HattFolder
 from .lmt import LmtFolder
 from .recording import DataSet, Recording
 from .simulated import SimulatedLibrary
-from .user_recordings import UserFolder
+from .time_series import UserFolder
 
 _FOLDER_TYPES: dict[str, Callable[[Path], DataSet]] = {
     "own": UserFolder, "hatt": HattFolder, "cluster": ClusterFolder, "lmt": LmtFolder,

@@ -26,8 +26,15 @@ from ..files import content_hash
 from ..material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from ..material.token import TOKEN_DIM
 from ..metrics.spectra import WINDOW_SAMPLES
-from .fit import Checkpoint, load_checkpoint, save_checkpoint
-from .likelihood import DENSITY_FLOOR, WindowLikelihood, compute_arc_density, compute_expectation_matrices
+from .fit import (
+    DENSITY_FLOOR,
+    Checkpoint,
+    WindowLikelihood,
+    compute_arc_density,
+    compute_expectation_matrices,
+    load_checkpoint,
+    save_checkpoint,
+)
 from .model import FieldNetwork, render_weights
 from .published_form import MagnitudeTask
 from .simulated_strokes import FINE_BINS, compute_bin_widths

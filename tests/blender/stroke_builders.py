@@ -7,8 +7,7 @@ import bpy
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.bridge.stroke.read_stroke import read_stroke
 from hnf_blender.preview.sound_device import import_aud
-from hnf_core.action.contacts import find_contacts
-from hnf_core.action.patches import action_from_contacts, plan_patches
+from hnf_core.action.contacts import action_from_contacts, find_contacts, plan_patches
 from hnf_core.errors import SceneError
 
 

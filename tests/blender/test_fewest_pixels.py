@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from hnf_blender.bridge.render import closeup
 from hnf_blender.bridge.render.closeup import CloseUpRenderer
 from hnf_blender.bridge.render.closeup_resolution import PIXELS_PER_TEXEL, PIXELS_PER_TRIANGLE, choose_resolution
+from hnf_blender.bridge.render.cycles import MAX_READABLE_WAVELENGTH_M
 from hnf_blender.bridge.render.isolated_object import SlotReading
-from hnf_blender.bridge.render.unlit_image import MAX_READABLE_WAVELENGTH_M
 from hnf_blender.bridge.shader.aov_taps import ImageTap, Tap
 from hnf_blender.bridge.shader.closures import ColourSources, is_direct_image
 from hnf_core.material.band_descriptor import describe

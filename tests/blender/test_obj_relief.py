@@ -9,8 +9,7 @@ from closeup_builders import look, principled
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_blender.bridge.importers import open_scene
-from hnf_blender.bridge.obj_relief import ReliefMap, parse_mtl, parse_relief_map
+from hnf_blender.bridge.importers import ReliefMap, open_scene, parse_mtl, parse_relief_map
 from hnf_core.errors import FileError
 
 HALF = 0.02

@@ -12,9 +12,8 @@ from builders import add_mesh, add_plane, add_sphere
 from hnf_blender.bridge.scene.meshes import make_ray_caster, read_surface
 from hnf_blender.bridge.stroke.place_primitive import choose_default_slots, list_touchable_slots, place_primitive
 from hnf_blender.bridge.stroke.read_stroke import list_strokes, read_stroke
-from hnf_core.action.contacts import find_contacts
+from hnf_core.action.contacts import action_from_contacts, find_contacts, plan_patches
 from hnf_core.action.parse_stroke import parse_stroke
-from hnf_core.action.patches import action_from_contacts, plan_patches
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 from hnf_core.errors import SceneError

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mathutils import Euler
 from splat_builders import FINE_M, HALF_M, METRES, Y_00, slab
 
-from hnf_blender.bridge.render.unlit_image import UnlitImage
+from hnf_blender.bridge.render.cycles import UnlitImage
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.bridge.splats.splat_closeup import (
     HALF_PASS_SIGMAS,

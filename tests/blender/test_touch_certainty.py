@@ -8,7 +8,7 @@ import pytest
 from builders import add_plane
 from touch_scene import line_stroke, save_scene, touch
 
-from hnf_blender.bridge.render.unlit_image import UnlitImage
+from hnf_blender.bridge.render.cycles import UnlitImage
 from hnf_blender.touch.material_choice import (
     CHOSEN_BY_ARTIST,
     GUESS_CONFIDENCE,

@@ -29,8 +29,7 @@ from hnf_blender.bridge.shader.aov_taps import Passes
 from hnf_blender.bridge.shader.closures import mix_closures, read_shading_value
 from hnf_blender.touch.report import Counts
 from hnf_blender.touch.session import Session, StrokeJob, gather_jobs
-from hnf_core.action.contacts import find_contacts
-from hnf_core.action.patches import plan_patches
+from hnf_core.action.contacts import find_contacts, plan_patches
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import PATCH_SIZE_M, Camera, Patch, orthographic
 from hnf_core.scene.mesh import TriangleMesh

@@ -62,17 +62,18 @@ from .cycles import (
     ZOOM,
     ZOOM_PIXELS,
     Sampling,
+    UnlitImage,
     add_aovs,
     add_camera,
     choose_sampling,
     configure_cycles,
     disable_lighting,
     erode,
+    make_unlit_image,
     render_passes,
     set_camera,
 )
 from .isolated_object import IsolatedObject, SlotReading, instrument_slot, isolate_object
-from .unlit_image import UnlitImage, make_unlit_image
 
 Mask = NDArray[np.bool_]
 

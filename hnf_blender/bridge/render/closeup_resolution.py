@@ -12,8 +12,8 @@ from hnf_core.tactile.mesh_relief import FaceSpacing
 from ..shader.aov_taps import Constant, Passes, find_finest_texel
 from ..shader.bump_displacement import Relief, Slopes
 from ..shader.closures import list_closures, list_mix_factors
+from .cycles import MAX_READABLE_WAVELENGTH_M
 from .isolated_object import SlotReading
-from .unlit_image import MAX_READABLE_WAVELENGTH_M
 
 Mask = NDArray[np.bool_]
 

@@ -25,7 +25,7 @@ from hnf_core.tactile.height import fill_masked
 from hnf_core.tactile.image_resolution import estimate_resolved_wavelength
 
 from ..render.closeup import APPEARANCE_PIXELS, CloseUp, crop_to_patches, find_connected_pixels, make_unoccluded_camera
-from ..render.unlit_image import MAX_CODE, MIN_COLOUR_STD_CODES, UnlitImage
+from ..render.cycles import MAX_CODE, MIN_COLOUR_STD_CODES, UnlitImage
 from ..scene.meshes import Surface, make_ray_caster
 from .splat_cloud import CloudFrame, compute_cloud_frame, get_cloud_source, read_cloud
 

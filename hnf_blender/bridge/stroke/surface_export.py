@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.action.contacts import Contacts, find_contacts
-from hnf_core.action.patches import action_from_contacts, plan_patches
+from hnf_core.action.contacts import Contacts, action_from_contacts, find_contacts, plan_patches
 from hnf_core.errors import UsageError
 from hnf_core.export.touched_surface import UNTOUCHED, StrokePath, TouchedSurface
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...errors import SceneError
 from .gaussians import Splats
-from .voxel_grid import VoxelGrid, find_keys, label_components
+from .tsdf import VoxelGrid, find_keys, label_components
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]

@@ -21,8 +21,7 @@ from .depth_views import DepthView, make_depth_view, make_surrounding_cameras, s
 from .gaussians import Splats
 from .prune import PruneResult, prune_splats
 from .rasterize import SplatView, render_splats
-from .tsdf import THICKNESS, extract_surface, find_band, fuse_depth_views
-from .voxel_grid import find_nearest_triangles, label_components
+from .tsdf import THICKNESS, extract_surface, find_band, find_nearest_triangles, fuse_depth_views, label_components
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]

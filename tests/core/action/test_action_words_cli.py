@@ -11,7 +11,7 @@ from hnf_core.action.action import read_action_csv, write_action_csv
 from hnf_core.action.parse_stroke import parse_stroke
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
-from hnf_core.action.stroke_words import EXAMPLES
+from hnf_core.action.stroke_tokens import EXAMPLES
 from hnf_core.cli.main import build_parser, main
 from hnf_core.cli.touch import make_touch_request
 from hnf_core.export.wav import read_wav

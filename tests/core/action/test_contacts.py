@@ -12,13 +12,15 @@ from hypothesis import strategies as st
 from hnf_core.action.contacts import (
     DeformingMesh,
     StrokeSamples,
+    action_from_contacts,
+    covers,
     find_contacts,
     find_nearest_on_triangles,
+    plan_patches,
     require_contact,
 )
 from hnf_core.action.curves import build_arc_curve, make_poly_curve, make_smooth_curve
 from hnf_core.action.motion_profile import make_motion_at_speed, make_motion_from_progress
-from hnf_core.action.patches import action_from_contacts, covers, plan_patches
 from hnf_core.errors import SceneError, StrokeError
 from hnf_core.scene.mesh import TriangleMesh
 from reference.geometry import ReferenceGeometry

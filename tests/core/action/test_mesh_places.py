@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.action.contacts import StrokeSamples, find_contacts
-from hnf_core.action.patches import plan_patches
+from hnf_core.action.contacts import StrokeSamples, find_contacts, plan_patches
 from hnf_core.action.surface_point import compute_uv_barycentric, find_point_at_uv, find_point_near, select_slot
 from hnf_core.errors import SceneError
 from hnf_core.scene.mesh import TriangleMesh

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.curves import build_arc_curve, make_bezier_curve
-from hnf_core.action.fit_bezier import fit_bezier
 from hnf_core.action.keyframes import fit_keyframes
 from hnf_core.action.motion_profile import compute_travel_time
 from hnf_core.action.pen_stroke import (
@@ -17,6 +16,7 @@ from hnf_core.action.pen_stroke import (
     PROGRESS_TOLERANCE_M,
     PenSamples,
     PenStyle,
+    fit_bezier,
     fit_pen_stroke,
     spread_times_evenly,
 )

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hnf_core.action.parse_stroke import parse_steps, parse_stroke
 from hnf_core.action.primitive_path import make_primitive_action, make_primitive_path
 from hnf_core.action.primitives import ALLOWED, SPEED_LEVELS, STILL, Step
-from hnf_core.action.stroke_words import EXAMPLES
+from hnf_core.action.stroke_tokens import EXAMPLES
 from hnf_core.errors import UsageError
 
 PHRASINGS = tomllib.loads(Path(__file__).with_name("phrasings.toml").read_text(encoding="utf-8"))

@@ -43,7 +43,7 @@ def test_a_table_of_an_action_needs_no_words_for_strokes(tmp_path):
     )
     assert (tmp_path / "press.wav").is_file()
     assert "hnf_core.field.synthesis" in run.modules
-    assert not {"hnf_core.action.parse_stroke", "hnf_core.action.stroke_words"} & set(run.modules)
+    assert not {"hnf_core.action.parse_stroke", "hnf_core.action.stroke_tokens"} & set(run.modules)
 
 
 def test_other_packages_are_looked_up_for_what_they_may_have():

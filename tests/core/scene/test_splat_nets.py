@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import SceneError, UsageError
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.splats.tsdf import GridSamples, SurfaceNet, extract_surface
-from hnf_core.scene.splats.voxel_grid import (
+from hnf_core.scene.splats.tsdf import (
     MAX_CELLS_PER_AXIS,
+    GridSamples,
+    SurfaceNet,
     VoxelGrid,
     dilate_keys,
+    extract_surface,
     find_keys,
     find_nearest_triangles,
     label_components,

@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 from stress_meshes import PLACES, joined, mesh_of, plate, rays
 
-from hnf_core.action.contacts import StrokeSamples, find_contacts, find_nearest_on_triangles
-from hnf_core.action.patches import action_from_contacts, plan_patches
+from hnf_core.action.contacts import (
+    StrokeSamples,
+    action_from_contacts,
+    find_contacts,
+    find_nearest_on_triangles,
+    plan_patches,
+)
 from hnf_core.action.stroke_placement import find_placements
 from hnf_core.errors import SceneError
 from hnf_core.progress import count_work

@@ -31,13 +31,11 @@ from hnf_core.training.fit import (
     TrainingSet,
     build_network_inputs,
     build_training_set,
+    compute_band_expectation,
+    compute_whittle_loss,
     fit_network,
     make_condition,
     rotate_inputs,
-)
-from hnf_core.training.likelihood import (
-    compute_band_expectation,
-    compute_whittle_loss,
 )
 from hnf_core.training.model import FieldNetwork
 from hnf_core.training.simulated_strokes import (

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from data_tools.object_splats import find_touched_patches, make_object_splats
 from data_tools.splats_from_scene import FINE_M, SPACING_M, open_session
 from hnf_blender.bridge.render.closeup import CloseUp, CloseUpRenderer
-from hnf_blender.bridge.render.unlit_image import UnlitImage
+from hnf_blender.bridge.render.cycles import UnlitImage
 from hnf_blender.bridge.scene.meshes import Surface
 from hnf_blender.bridge.splats.splat_closeup import SplatCloseUpRenderer
 from hnf_blender.bridge.splats.splat_cloud import create_cloud, link_cloud
