@@ -150,38 +150,3 @@ def show_in_sequencer(workspace: Any, scene: Any) -> None:
 def sequencer_strips(editor: Any) -> Any:
     """Return the strips of a sequence editor, which are called sequences up to 4.3."""
     return editor.strips if hasattr(editor, "strips") else editor.sequences
-
-
-def new_compositor(scene: Any) -> tuple[Any, Any]:
-    """Create an empty compositor tree for a scene; return the tree and the input socket for its image."""
-    if hasattr(scene, "compositing_node_group"):  # 5.0: a node group like any other
-        import bpy
-
-        tree = bpy.data.node_groups.new("Compositor", "CompositorNodeTree")
-        scene.compositing_node_group = tree
-        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-        return tree, tree.nodes.new("NodeGroupOutput").inputs[0]
-    scene.use_nodes = True
-    tree = scene.node_tree
-    tree.nodes.clear()
-    return tree, tree.nodes.new("CompositorNodeComposite").inputs["Image"]
-
-
-def write_exr_from(tree: Any, socket: Any, folder: str, stem: str) -> None:
-    """Add a compositor node that writes a socket as float32 EXR to the file folder/STEM*FRAME.exr."""
-    node = tree.nodes.new("CompositorNodeOutputFile")
-    use_exr(node.format)
-    if hasattr(node, "file_output_items"):  # 5.0
-        node.directory, node.file_name = folder, stem
-        node.file_output_items.new("FLOAT", "value")
-    else:
-        node.base_path = folder
-        node.file_slots[0].path = stem
-    tree.links.new(socket, node.inputs[0])
-
-
-def use_exr(settings: Any) -> None:
-    """Set image settings to a plain float32 EXR."""
-    if hasattr(settings, "media_type"):
-        settings.media_type = "IMAGE"
-    settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"

@@ -90,10 +90,6 @@ def read_current_bake(obj: Any, scene: Any) -> CurrentBake | None:
     return CurrentBake(obj.name, bake, content_hash(digest, force.tobytes(), str(group.probe), str(group.seed)))
 
 
-def clear_bake_cache() -> None:
-    _bake_cache.clear()
-
-
 def _load_bake(obj: Any, digest: str) -> StrokeBake:
     """Return a cached bake: decoding takes milliseconds, and a dragged value requests it many times a second."""
     if digest not in _bake_cache:

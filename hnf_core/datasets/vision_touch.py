@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal, Protocol, overload
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,31 +78,6 @@ class VisionTouchPair:
             raise UsageError("depth and picture have different pixels.", where=self.where, remedy="Resample one.")
         if self.background is not None and self.background.shape != self.touch.shape:
             raise UsageError("touch and background have different pixels.", where=self.where, remedy="Resample one.")
-
-
-class VisionTouchPairs(Protocol):
-    """Interface of lazy sequences of photograph and touch pairs: labels and places are known without opening images."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, index: int, /) -> VisionTouchPair:
-        """Read one pair; raise FileError if one of its files cannot be used."""
-        ...
-
-    @property
-    def labels(self) -> tuple[str | None, ...]:
-        """Material label of each pair, None if unknown."""
-        ...
-
-    @property
-    def locations(self) -> tuple[str, ...]:
-        """Location (scene, recording or texture) of each pair, its `where`."""
-        ...
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Assumptions of the reader, and counts of the pairs that were left out, in words."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -208,20 +183,6 @@ def get_split(pairs: FilePairs, name: str, seed: int, where: str) -> FilePairs:
             remedy="Get more of them, or split them yourself with split_by_place.",
         )
     return split
-
-
-def iterate_readable(pairs: VisionTouchPairs, skipped: list[FileError]) -> Iterator[VisionTouchPair]:
-    """Yield the pairs whose files can be used, in order; append the errors of the others to `skipped`.
-
-    One damaged image among thousands should neither end a training nor go unnoticed.
-    """
-    for index in range(len(pairs)):
-        try:
-            pair = pairs[index]
-        except FileError as error:
-            skipped.append(error)
-            continue
-        yield pair
 
 
 def format_left_out(left_out: Counter[str]) -> tuple[str, ...]:

@@ -325,21 +325,6 @@ def get_first_band(pitch_m: float) -> int:
     return int(np.argmin(np.abs(np.log(np.asarray(PITCHES_M) / pitch_m))))
 
 
-def encode_targets(token: Single | Float, contrast: Float, pitch_index: NDArray[np.intp]) -> Float:
-    """Return the network outputs (n, OUTPUT_COUNT) to train on for complete tokens (n, TOKEN_DIM) of n views.
-
-    Inverse of `decode_outputs`.
-    """
-    width = len(BAND_FEATURES)
-    bands = (pitch_index[:, None] * width + np.arange(VIEW_BANDS * width)[None, :]).astype(np.intp)
-    targets = np.concatenate([np.take_along_axis(token, bands, axis=1), token[:, -len(SHAPE_FEATURES) :]], axis=1)
-    targets = targets.astype(np.float64)
-    targets[:, LEVEL_INDICES] -= np.log10(np.asarray(PITCHES_M)[pitch_index] * np.maximum(contrast, CONTRAST_FLOOR))[
-        :, None
-    ]
-    return np.asarray(targets)
-
-
 DEFAULT_ENCODER = Path(__file__).parents[1] / "data" / "encoder.safetensors"
 ENCODER_FORMAT = "hnf-encoder-1"
 _ENCODER_KIND = WeightsKind(

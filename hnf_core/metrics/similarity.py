@@ -9,7 +9,6 @@ stating the variant.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -181,77 +180,3 @@ def _z_score_blocks(samples: Float) -> Float:
 
 def _projection_ratio(reference: Float, signal: Float) -> float:
     return float(np.mean(np.sum(reference * signal, axis=1) / (np.sum(reference**2, axis=1) + np.finfo(float).eps)))
-
-
-COSINE_ETA = 0.5
-"""Exponent of the spectral similarity in `st_sim_cosine`."""
-MSCN_TAPS = 7
-"""Length of the Gaussian window of contrast normalisation [samples]."""
-MSCN_SIGMA = 7.0 / 6.0
-"""Standard deviation of that window [samples], as in A. Mittal, A. Moorthy & A. Bovik (2012), BRISQUE, along time."""
-
-
-@dataclass(frozen=True)
-class CosineSimilarity:
-    """Spectral and temporal cosine similarity of two signals, −1 to 1, and their geometric mean with sign."""
-
-    spectral: float
-    temporal: float
-    combined: float
-
-
-def st_sim_cosine(samples: ArrayLike, reference: ArrayLike) -> CosineSimilarity:
-    """Compute ST-SIM as two cosines, another reading of the name than TUM's.
-
-    Parameters
-    ----------
-    samples : array_like, shape (n,)
-        The signal.
-    reference : array_like, shape (n,)
-        The reference.
-
-    Returns
-    -------
-    CosineSimilarity
-        1 for the reference itself, T = −1 in anti-phase, 0 for a constant signal.
-
-    Raises
-    ------
-    ValueError
-        If the lengths differ or are below `MSCN_TAPS`.
-
-    Notes
-    -----
-    S is the cosine of the z-scored |FFT| of the signals; T is the cosine of their samples (x − μ) / σ with local μ, σ;
-    combined |S|^η |T|^(1−η), η = 0.5. Symmetric and independent of level.
-    """
-    x, y = np.asarray(samples, dtype=np.float64), np.asarray(reference, dtype=np.float64)
-    if x.shape != y.shape or x.ndim != 1 or len(x) < MSCN_TAPS:
-        raise ValueError(f"signals {x.shape} and {y.shape} must be equally long, at least {MSCN_TAPS} samples.")
-    spectral = _cosine_similarity(*(_z_score(np.abs(np.fft.rfft(signal))) for signal in (x, y)))
-    temporal = _cosine_similarity(_contrast_normalise(x), _contrast_normalise(y))
-    size = abs(spectral) ** COSINE_ETA * abs(temporal) ** (1.0 - COSINE_ETA)
-    return CosineSimilarity(spectral, temporal, math.copysign(size, spectral * temporal))
-
-
-def _z_score(values: Float) -> Float:
-    spread = float(values.std())
-    return (values - values.mean()) / spread if spread > 0.0 else np.zeros_like(values)
-
-
-def _contrast_normalise(samples: Float) -> Float:
-    offset = np.arange(MSCN_TAPS) - MSCN_TAPS // 2
-    taps = np.exp(-0.5 * np.square(offset / MSCN_SIGMA))
-    taps /= taps.sum()
-    padded = np.pad(samples - samples.mean(), MSCN_TAPS // 2, mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, MSCN_TAPS)
-    mean = windows @ taps
-    spread = np.sqrt(np.square(windows - mean[:, None]) @ taps)
-    level = float(np.sqrt(np.mean(np.square(spread))))
-    # The floor is relative to the signal's contrast: its level does not matter, and silence does not divide by 0.
-    return np.asarray((padded[MSCN_TAPS // 2 : -(MSCN_TAPS // 2)] - mean) / (spread + max(1e-3 * level, 1e-300)))
-
-
-def _cosine_similarity(a: Float, b: Float) -> float:
-    size = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return float(a @ b) / size if size > 0.0 else 0.0

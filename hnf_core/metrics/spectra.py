@@ -13,7 +13,6 @@ nine critical bands was the best predictor of realism in one study (J. K. Balasu
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,16 +64,6 @@ def welch(samples: ArrayLike, rate: float, window: int = WINDOW_SAMPLES) -> tupl
     return np.fft.rfftfreq(window, 1.0 / rate), power.mean(axis=0)
 
 
-def spectrum_distance_db(a: ArrayLike, b: ArrayLike) -> float:
-    """Compute the RMS level difference of two average spectra over their bins [dB].
-
-    Densities below 1e-12 of the peak are raised to that.
-    """
-    first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
-    floor = 1e-12 * max(float(first.max()), float(second.max()), 1e-300)
-    return float(np.sqrt(np.mean(np.square(10.0 * np.log10((first + floor) / (second + floor))))))
-
-
 def hann_window(size: int) -> Float:
     """Return the periodic Hann window (size,)."""
     return np.asarray(0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size))
@@ -124,22 +113,11 @@ def spectral_mse(first: ArrayLike, second: ArrayLike) -> float:
     Symmetric. A realisation of a Gaussian texture scores 2 − π/2 = 0.429 of the mean power E|X_k|² against another one;
     the best possible prediction scores 1 − π/4 = 0.215. Raises ValueError if the shapes differ.
     """
-    a, b = _check_same_shape(first, second)
+    a, b = check_same_shape(first, second)
     return float(np.mean(np.square(a - b)))
 
 
-def gfc(first: ArrayLike, second: ArrayLike) -> float:
-    """Compute the goodness-of-fit coefficient Σ A B / (‖A‖ ‖B‖); A, B are time averages of DFT magnitudes (C, K).
-
-    It is 1 if the average spectra have the same shape, whatever their level, and 0 if one of them is silent. Raises
-    ValueError if the shapes differ.
-    """
-    a, b = (values.mean(axis=0) for values in _check_same_shape(first, second))
-    sizes = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return float(a @ b) / sizes if sizes > 0.0 else 0.0
-
-
-def _check_same_shape(first: ArrayLike, second: ArrayLike) -> tuple[Float, Float]:
+def check_same_shape(first: ArrayLike, second: ArrayLike) -> tuple[Float, Float]:
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     if a.shape != b.shape or a.ndim != 2:
         raise ValueError(f"magnitudes {a.shape} and {b.shape} are not of the same windows and bins.")
@@ -184,22 +162,10 @@ def lsd_power_db(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = LS
     return float(np.mean(np.sqrt(np.mean(np.square(level), axis=1))))
 
 
-def lsd_log10_magnitude(magnitude: ArrayLike, reference: ArrayLike, epsilon: float = LSD_EPSILON) -> float:
-    """Compute mean_t sqrt(mean_f (log10 |X| / |Y|)²) in decades of magnitude, one twentieth of `lsd_power_db`.
-
-    Arguments are DFT magnitudes (C windows, K bins). Published values of 0.8–0.9 are in this unit.
-    """
-    return lsd_power_db(magnitude, reference, epsilon) / 20.0
-
-
 MIN_COMPARED_HZ, MAX_COMPARED_HZ = 20.0, 1000.0
 """Range of frequencies that are compared [Hz]."""
 MAX_BELOW_PEAK_DB = 30.0
 """Level below the reference's peak down to which bins are compared [dB]."""
-
-NINE_BANDS_HZ = (10.0, 20.0, 30.0, 50.0, 80.0, 130.0, 220.0, 360.0, 600.0, 1000.0)
-"""Edges of the bands of `nine_band_error_db` [Hz]: chosen here, about ⅔ octave wide and on whole 10 Hz bins, since the
-study that found nine critical bands to predict realism does not print its edges legibly."""
 
 
 def select_compared_bins(reference: ArrayLike, frequency: ArrayLike) -> NDArray[np.bool_]:
@@ -239,42 +205,6 @@ def average_spectrum_distance_db(density: ArrayLike, reference: ArrayLike, frequ
         raise ValueError("a silent reference has no spectrum to be compared with.")
     floor = 1e-12 * float(y[bins].max())
     return float(np.sqrt(np.mean(np.square(10.0 * np.log10(np.maximum(x[bins], floor) / y[bins])))))
-
-
-def power_bias_db(density: ArrayLike, reference: ArrayLike, frequency: ArrayLike) -> float:
-    """Return the power in 10–1000 Hz relative to the reference's [dB], at least −120 dB, from power densities (k,)."""
-    power, reference_power = (
-        _sum_band_power(spectrum, frequency, 10.0, MAX_COMPARED_HZ, True) for spectrum in (density, reference)
-    )
-    if reference_power <= 0.0:
-        raise ValueError("a silent reference has no power to be compared with.")
-    return float(10.0 * np.log10(max(power / reference_power, 1e-12)))
-
-
-def nine_band_error_db(density: ArrayLike, reference: ArrayLike, frequency: ArrayLike) -> float:
-    """Compute the RMS over nine frequency bands, `NINE_BANDS_HZ`, of the difference of two densities' band levels [dB].
-
-    A bin belongs to the band that contains its centre, the last band includes its upper edge. Bands in which the
-    reference is below 1e-6 of its power (60 dB) are left out, since nothing can be felt there.
-    """
-    last = len(NINE_BANDS_HZ) - 2
-    pairs = [
-        tuple(_sum_band_power(spectrum, frequency, low, high, band == last) for spectrum in (density, reference))
-        for band, (low, high) in enumerate(pairwise(NINE_BANDS_HZ))
-    ]
-    power, reference_power = np.array(pairs).T
-    total = float(reference_power.sum())
-    if total <= 0.0:
-        raise ValueError("a silent reference has no bands to be compared with.")
-    significant = reference_power >= 1e-6 * total
-    level = 10.0 * np.log10(np.maximum(power[significant] / reference_power[significant], 1e-12))
-    return float(np.sqrt(np.mean(np.square(level))))
-
-
-def _sum_band_power(density: ArrayLike, frequency: ArrayLike, low: float, high: float, closed: bool) -> float:
-    hertz = np.asarray(frequency, dtype=np.float64)
-    inside = (hertz >= low - 1e-6) & (hertz < high + (1e-6 if closed else -1e-6))
-    return float(np.asarray(density, dtype=np.float64)[inside].sum())
 
 
 OCTAVE_CENTRES_HZ = tuple(1000.0 * 2.0**k for k in range(-8, 1))

@@ -12,7 +12,7 @@ Frame: column → +x, row → −y; gradients are ∂h/∂x and ∂h/∂y with y
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -211,33 +211,3 @@ CROSSTALK_SCATTER = 0.05
 """Half-width of the scatter of cross-talk."""
 AMBIENT_SCATTER = 0.03
 """Half-width of the scatter of ambient light."""
-
-
-def perturb_sensor(sensor: Sensor, rng: np.random.Generator) -> Sensor:
-    """Draw a slightly different specimen of a sensor: other lamp directions, intensities, cross-talk and ambient light.
-
-    Training on such specimens keeps networks from learning the colors of one. Gel, slope limit and name stay, and every
-    lamp still reaches the membrane up to the slope limit.
-    """
-    lowest = float(np.degrees(np.arctan(sensor.max_slope))) + 0.5
-    off_diagonal = 1.0 - np.eye(3)
-    scatter = rng.uniform(-CROSSTALK_SCATTER, CROSSTALK_SCATTER, (3, 3)) * off_diagonal
-    crosstalk = np.clip(np.asarray(sensor.crosstalk) + scatter, 0.0, None)
-    return replace(
-        sensor,
-        azimuth_deg=_to_triple(
-            np.asarray(sensor.azimuth_deg) + rng.uniform(-AZIMUTH_SCATTER_DEG, AZIMUTH_SCATTER_DEG, 3)
-        ),
-        elevation_deg=max(lowest, sensor.elevation_deg + float(rng.uniform(*ELEVATION_SCATTER_DEG))),
-        intensity=_to_triple(
-            np.asarray(sensor.intensity) * (1.0 + rng.uniform(-INTENSITY_SCATTER, INTENSITY_SCATTER, 3))
-        ),
-        crosstalk=tuple(_to_triple(row) for row in crosstalk),
-        ambient=_to_triple(
-            np.clip(np.asarray(sensor.ambient) + rng.uniform(-AMBIENT_SCATTER, AMBIENT_SCATTER, 3), 0.0, None)
-        ),
-    )
-
-
-def _to_triple(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])

@@ -178,25 +178,6 @@ def antialias(values: ArrayLike, factor: float) -> Float:
     return np.asarray(filtered + layer.mean() + slopes[0] * columns[None, :] - slopes[1] * rows[:, None])
 
 
-def decimate_tile(tile: ArrayLike, factor: int) -> Float:
-    """Decimate a periodic map (..., H, W) to (..., H/factor, W/factor), with the low-pass of `antialias`.
-
-    New pixel centres are the centres of the factor × factor blocks that they replace. Raises UsageError if the factor
-    does not divide the size.
-    """
-    values = np.asarray(tile, dtype=np.float64)
-    rows, columns = values.shape[-2:]
-    if factor < 1 or rows % factor or columns % factor:
-        raise UsageError(f"a tile of {rows} × {columns} pixels cannot be made {factor} times as coarse.")
-    if factor == 1:
-        return values.copy()
-    fx, fy = frequencies((rows, columns), 1.0)
-    # The shift from the first pixel's centre to the block's is half a block less half a pixel (y up, rows down).
-    shift = np.exp(2j * np.pi * (factor - 1) / 2.0 * (fx - fy))
-    spectrum = np.fft.rfft2(values) * (_decimation_response((rows, columns), float(factor)) * shift)
-    return np.ascontiguousarray(np.fft.irfft2(spectrum, s=(rows, columns))[..., ::factor, ::factor])
-
-
 def _decimation_response(shape: tuple[int, int], factor: float) -> Float:
     fraction_x, fraction_y = (np.abs(f) * 2.0 * factor for f in frequencies(shape, 1.0))
     return np.asarray(_raised_cosine(fraction_x) * _raised_cosine(fraction_y))

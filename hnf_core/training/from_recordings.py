@@ -26,7 +26,7 @@ from ..material.library import LibraryMaterial, get_material
 from ..material.ranking import find_material
 from ..material.token import TOKEN_DIM
 from ..metrics.spectra import BIN_COUNT, WINDOW_SAMPLES
-from .simulated_strokes import FINE_BINS
+from .fit import FINE_BINS
 from .train_material import ProgressCallback, Schedule, TrainingResult, train_material
 
 Float = NDArray[np.float64]

@@ -27,8 +27,8 @@ from ..field.resampling import resample
 from ..field.stroke import SAMPLES_PER_STATE
 from ..material.contact_model import Mechanics
 from ..metrics.spectra import BIN_COUNT, WINDOW_SAMPLES, hann_window
+from .fit import pool_bins
 from .model import FieldNetwork, render_weights
-from .simulated_strokes import pool_bins
 from .windows import STATES_PER_WINDOW, TRAIN, States, Windows, build_state_inputs, find_role_runs, read_action
 
 Float = NDArray[np.float64]

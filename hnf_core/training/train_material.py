@@ -28,16 +28,17 @@ from ..material.token import TOKEN_DIM
 from ..metrics.spectra import WINDOW_SAMPLES
 from .fit import (
     DENSITY_FLOOR,
+    FINE_BINS,
     Checkpoint,
     WindowLikelihood,
     compute_arc_density,
+    compute_bin_widths,
     compute_expectation_matrices,
     load_checkpoint,
     save_checkpoint,
 )
 from .model import FieldNetwork, render_weights
 from .published_form import MagnitudeTask
-from .simulated_strokes import FINE_BINS, compute_bin_widths
 from .windows import HOP, TEST, TRAIN, VALIDATION, States, Windows, build_state_inputs, cut_windows
 
 Float = NDArray[np.float64]

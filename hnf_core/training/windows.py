@@ -23,7 +23,7 @@ from ..field.stroke import SAMPLES_PER_STATE, resample_action, uniform_stroke
 from ..material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from ..material.token import TOKEN_DIM
 from ..metrics.spectra import WINDOW_SAMPLES, hann_window, window_power
-from .simulated_strokes import compute_bin_widths, pool_bins
+from .fit import compute_bin_widths, pool_bins
 
 Float = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from functools import cache
 from hnf_core.field.field import FieldConfig, initial_parameters
 from hnf_core.material.library import LIBRARY_PATH
 from hnf_core.training.model import FieldNetwork
-from hnf_core.training.simulated_strokes import StrokeCondition
 from hnf_lab.shared_field.references import simulate_references
+from hnf_lab.shared_field.simulated_strokes import StrokeCondition
 from hnf_lab.shared_field.training_data import Sizes, build_training_data, load_specimens
 
 SIZES = Sizes(patches=2, described=1, strokes=4, random=2, random_strokes=2, seconds=0.15)

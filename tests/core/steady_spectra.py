@@ -81,3 +81,13 @@ def _density(frequency: Float, edges: Float, power: Float) -> Float:
     inside = (band >= 0) & (band < len(power))
     density = power / np.diff(edges)
     return np.where(inside, density[np.clip(band, 0, len(power) - 1)], 0.0)
+
+
+def spectrum_distance_db(a: ArrayLike, b: ArrayLike) -> float:
+    """Compute the RMS level difference of two average spectra over their bins [dB].
+
+    Densities below 1e-12 of the peak are raised to that.
+    """
+    first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    floor = 1e-12 * max(float(first.max()), float(second.max()), 1e-300)
+    return float(np.sqrt(np.mean(np.square(10.0 * np.log10((first + floor) / (second + floor))))))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hnf_core.datasets.hatt_models import TextureModel
-from hnf_core.datasets.hatt_synthesis import FilterStates, Float, compute_power_spectrum, get_block_index
+from hnf_core.datasets.hatt_synthesis import FilterStates, Float, get_block_index
+from hnf_lab.baselines.piecewise_ar import compute_power_spectrum
 
 
 def compute_rms_and_centroid(model: TextureModel, speed_m_s: float, force_n: float) -> tuple[float, float]:

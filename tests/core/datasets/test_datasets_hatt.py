@@ -16,13 +16,13 @@ from hnf_core.datasets.hatt_synthesis import (
     HattProcess,
     _build_states,
     _draw_noise,
-    compute_power_spectrum,
     interpolate_filters,
     synthesise_autoregressive,
 )
 from hnf_core.datasets.registry import open_dataset
 from hnf_core.errors import FileError, MaterialError, UsageError
 from hnf_core.metrics.spectra import welch
+from hnf_lab.baselines.piecewise_ar import compute_power_spectrum
 from reference.hatt_reference import compute_rms_and_centroid, synthesise_reference
 
 # --- interpolation -----------------------------------------------------------------------------------------------

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.datasets.hatt_models import lsf_from_polynomial, polynomial_from_lsf, read_texture_model
-from hnf_core.datasets.hatt_synthesis import compute_power_spectrum
 from hnf_core.errors import FileError
+from hnf_lab.baselines.piecewise_ar import compute_power_spectrum
 
 # --- line spectral frequencies -----------------------------------------------------------------------------------
 

@@ -17,7 +17,6 @@ from hnf_core.datasets.vision_touch import (
     PairFiles,
     VisionTouchPair,
     crop_centre_square,
-    iterate_readable,
     read_array,
     read_depth,
     read_photograph,
@@ -26,6 +25,7 @@ from hnf_core.datasets.vision_touch import (
     split_by_location,
 )
 from hnf_core.errors import FileError, UsageError
+from hnf_lab.alignment.hatt_touch import iterate_readable
 
 
 def some_pair(where: str) -> VisionTouchPair:

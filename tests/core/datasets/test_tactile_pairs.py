@@ -38,8 +38,10 @@ from hnf_core.simulation.material_classes import get_category, list_classes, sam
 from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, height_map, wavenumbers
 from hnf_core.tactile.fourier_filters import frequencies, gaussian_mtf
 from hnf_core.tactile.height import tactile_map_from_height
-from hnf_core.tactile.optics import SENSORS, decode_gradients, gel_gradients, perturb_sensor, shade
-from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, decimate_tile
+from hnf_core.tactile.optics import SENSORS, decode_gradients, gel_gradients, shade
+from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS
+from hnf_lab.encoder.network import perturb_sensor
+from hnf_lab.evaluation.tactile_map.tiles import decimate_tile
 
 SEED = st.integers(0, 2**31)
 

@@ -28,7 +28,7 @@ from hnf_core.material.library import get_material
 from hnf_core.material.probe import get_probe
 from hnf_core.signal import dft321
 from hnf_core.simulation.simulate import FULL_PHYSICS, simulate, straight_stroke
-from hnf_core.training.simulated_strokes import Surface, make_surface
+from hnf_lab.shared_field.simulated_strokes import Surface, make_surface
 
 FIELD = load_field()
 PLASTIC = get_material("smooth-plastic").mechanics

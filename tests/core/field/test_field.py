@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from steady_spectra import expected_rms, expected_spectrum
+from steady_spectra import expected_rms, expected_spectrum, spectrum_distance_db
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import FileError, WeightsError
@@ -20,7 +20,7 @@ from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field, read_encoders, s
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import load_library
 from hnf_core.material.token import BAND_FEATURES, ENCODER_ID, TOKEN_DIM
-from hnf_core.metrics.spectra import spectrum_distance_db, welch
+from hnf_core.metrics.spectra import welch
 from hnf_lab.evaluation.texture_statistics import STROKE_ANGLES_RAD
 
 FREQUENCY = np.arange(2.0, 5000.0, 2.0)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from steady_spectra import spectrum_distance_db
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import StrokeError, UsageError
@@ -27,11 +28,11 @@ from hnf_core.field.weights import load_field
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import get_material
 from hnf_core.material.token import BAND_FEATURES, TOKEN_DIM
-from hnf_core.metrics.spectra import spectrum_distance_db, welch
+from hnf_core.metrics.spectra import welch
 from hnf_core.simulation.contact_dynamics import SmoothedMaps
 from hnf_core.simulation.simulate import Stroke, simulate
 from hnf_core.simulation.surface_recipe import SurfaceRecipe, height_map
-from hnf_core.training.simulated_strokes import make_surface
+from hnf_lab.shared_field.simulated_strokes import make_surface
 from reference.literal_synthesis import synthesise_reference
 
 WOOD = Mechanics(8e4, 0.15, 0.3)

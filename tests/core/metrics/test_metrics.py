@@ -9,18 +9,14 @@ from hypothesis import strategies as st
 from textures import RATE, Float, texture
 
 from hnf_core.metrics.spectra import (
-    NINE_BANDS_HZ,
     average_spectrum_distance_db,
-    gfc,
-    lsd_log10_magnitude,
     lsd_power_db,
-    nine_band_error_db,
-    power_bias_db,
     select_compared_bins,
     spectral_mse,
     welch,
     window_magnitudes,
 )
+from hnf_lab.evaluation.metrics import NINE_BANDS_HZ, gfc, lsd_log10_magnitude, nine_band_error_db, power_bias_db
 
 
 def long_run(seconds: float = 400.0) -> Float:

@@ -14,9 +14,9 @@ from hnf_core.metrics.similarity import (
     resample_to_tum_rate,
     split_blocks,
     spqi,
-    st_sim_cosine,
     st_sim_tum,
 )
+from hnf_lab.evaluation.metrics import st_sim_cosine
 
 Float = NDArray[np.float64]
 RATE = 8000.0

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import UsageError
 from hnf_core.material.token import BAND_WAVELENGTHS_M
-from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, antialias, cut_views, decimate_tile, measure_contrast
+from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, antialias, cut_views, measure_contrast
+from hnf_lab.evaluation.tactile_map.tiles import decimate_tile
 
 NATIVE = PITCHES_M[-1]
 SIDE = 512

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import FileError, SceneError, UsageError
 from hnf_core.tactile.height import integrate_gradients, remove_plane
-from hnf_core.tactile.optics import SENSORS, gel_gradients, perturb_sensor, render_sensor_image
+from hnf_core.tactile.optics import SENSORS, gel_gradients, render_sensor_image
 from hnf_core.tactile.photometric_stereo import (
     TERM_COUNT,
     TouchCalibration,
@@ -26,6 +26,7 @@ from hnf_core.tactile.photometric_stereo import (
     save_calibration,
 )
 from hnf_core.tactile.tactile_map import Route
+from hnf_lab.encoder.network import perturb_sensor
 
 SHAPE, PIXEL_M = (96, 128), 60e-6
 

@@ -6,14 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from steady_spectra import expected_spectrum, steady_amplitudes
+from steady_spectra import expected_spectrum, spectrum_distance_db, steady_amplitudes
 
 from hnf_core.field.field import Field
 from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field
 from hnf_core.material.band_descriptor import describe
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import get_material, load_library
-from hnf_core.metrics.spectra import spectrum_distance_db
 from hnf_core.simulation.surface_recipe import Noise, SurfaceRecipe, grating, height_map, twill
 from hnf_core.tactile.height import tactile_map_from_height
 

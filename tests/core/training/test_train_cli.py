@@ -19,12 +19,12 @@ from steady_spectra import expected_spectrum
 
 from hnf_core.cli.main import main
 from hnf_core.datasets.hatt_models import read_texture_model
-from hnf_core.datasets.hatt_synthesis import compute_power_spectrum
 from hnf_core.datasets.recording import Recording
 from hnf_core.datasets.registry import get_training_recordings, open_dataset
 from hnf_core.export.wav import read_wav
 from hnf_core.field.weights import load_field, read_trained_material
 from hnf_core.training.from_recordings import TrainingOverrides, train_from_recordings
+from hnf_lab.baselines.piecewise_ar import compute_power_spectrum
 
 QUICK = ("--seconds", "20", "--epochs", "2", "--hidden", "16", "--layers", "2")
 

@@ -25,27 +25,25 @@ from hnf_core.metrics.spectra import window_power
 from hnf_core.simulation import contact_dynamics
 from hnf_core.simulation import simulate as simulator
 from hnf_core.simulation.surface_recipe import Noise, SurfaceRecipe, height_map, wavenumbers
-from hnf_core.training.fit import (
+from hnf_core.training.fit import compute_band_expectation, compute_whittle_loss, pool_bins
+from hnf_core.training.model import FieldNetwork
+from hnf_lab.shared_field.fit import (
     Likelihood,
     Schedule,
     TrainingSet,
     build_network_inputs,
     build_training_set,
-    compute_band_expectation,
-    compute_whittle_loss,
     fit_network,
     make_condition,
     rotate_inputs,
 )
-from hnf_core.training.model import FieldNetwork
-from hnf_core.training.simulated_strokes import (
+from hnf_lab.shared_field.simulated_strokes import (
     SteadyStroke,
     draw_mechanics,
     draw_steady_strokes,
     make_random_surfaces,
     make_speed_grid,
     make_surface,
-    pool_bins,
     record_strokes,
     splice_spectra,
     withhold_mechanics,

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hnf_core.datasets.data_files import find_files
 from hnf_core.datasets.recording import normalise_name
@@ -28,6 +30,14 @@ from hnf_core.datasets.vision_touch import (
     resize_by_area,
 )
 from hnf_core.errors import FileError
+
+if TYPE_CHECKING:
+    pass
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    pass
 
 PHOTO_SIDE_M = 1024 / 15e3
 """Side of a HaTT photograph [m]: 1024 pixels at 15 per millimetre."""
@@ -176,3 +186,42 @@ def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
         where=files.where,
         metres_per_pixel=PHOTO_SIDE_M / rgb.shape[1] if rgb.shape[0] == rgb.shape[1] else None,
     )
+
+
+def iterate_readable(pairs: VisionTouchPairs, skipped: list[FileError]) -> Iterator[VisionTouchPair]:
+    """Yield the pairs whose files can be used, in order; append the errors of the others to `skipped`.
+
+    One damaged image among thousands should neither end a training nor go unnoticed.
+    """
+    for index in range(len(pairs)):
+        try:
+            pair = pairs[index]
+        except FileError as error:
+            skipped.append(error)
+            continue
+        yield pair
+
+
+class VisionTouchPairs(Protocol):
+    """Interface of lazy sequences of photograph and touch pairs: labels and places are known without opening images."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> VisionTouchPair:
+        """Read one pair; raise FileError if one of its files cannot be used."""
+        ...
+
+    @property
+    def labels(self) -> tuple[str | None, ...]:
+        """Material label of each pair, None if unknown."""
+        ...
+
+    @property
+    def locations(self) -> tuple[str, ...]:
+        """Location (scene, recording or texture) of each pair, its `where`."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Assumptions of the reader, and counts of the pairs that were left out, in words."""
+        ...

@@ -28,18 +28,15 @@ from hnf_core.datasets.tactile_pairs import (
 )
 from hnf_core.datasets.tarf import TarfFolder
 from hnf_core.datasets.touch_and_go import TouchAndGoFolder
-from hnf_core.datasets.vision_touch import (
-    FilePairs,
-    VisionTouchPair,
-    crop_centre_square,
-    iterate_readable,
-    resize_by_area,
-)
+from hnf_core.datasets.vision_touch import FilePairs, VisionTouchPair, crop_centre_square, resize_by_area
 from hnf_core.errors import FileError, UsageError
 from hnf_core.simulation.material_classes import list_classes
-from hnf_core.tactile.optics import SENSORS, Sensor, perturb_sensor
+from hnf_core.tactile.optics import SENSORS, Sensor
 from hnf_core.tactile.views import VIEW_PIXELS
 from hnf_lab.alignment.hatt_touch import HattTouchFolder
+
+from ..encoder.network import perturb_sensor
+from .hatt_touch import iterate_readable
 
 Float32 = NDArray[np.float32]
 Rows = NDArray[np.int64]

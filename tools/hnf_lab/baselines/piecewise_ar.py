@@ -22,7 +22,7 @@ from scipy.spatial import Delaunay
 from torch import Tensor
 
 from hnf_core.action.action import Action
-from hnf_core.datasets.hatt_models import TextureModel, lsf_from_polynomial
+from hnf_core.datasets.hatt_models import TextureModel, lsf_from_polynomial, polynomial_from_lsf
 from hnf_core.datasets.hatt_synthesis import HattProcess, interpolate_filters
 from hnf_core.errors import FileError
 
@@ -395,3 +395,37 @@ class PiecewiseAr:
         segments = cut_segments(specimen.recordings, MAX_ORDER)
         fitted = fit_best_grid(segments, self.grids)
         return FittedPiecewiseAr(make_texture_model(fitted.grid, fitted.lsf, fitted.variance, segments, specimen.name))
+
+
+def compute_power_spectrum(model: TextureModel, speed_m_s: float, force_n: float, frequency_hz: ArrayLike) -> Float:
+    """Compute the exact one-sided power density [(m/s²)²/Hz] of a texture model at one speed and force.
+
+    Parameters
+    ----------
+    model : TextureModel
+        The model.
+    speed_m_s, force_n : float
+        Speed [m/s] and force [N].
+    frequency_hz : array_like
+        Frequencies [Hz]; the density is zero above half the model's rate.
+
+    Returns
+    -------
+    ndarray
+        The power density at each frequency.
+    """
+    frequency = np.asarray(frequency_hz, dtype=np.float64)
+    local = interpolate_filters(model, speed_m_s, force_n)
+    z_inverse = np.exp(-2j * np.pi * frequency / model.sample_rate)
+    transfer = _evaluate_polynomial(polynomial_from_lsf(local.ma_lsf)[0], z_inverse) / _evaluate_polynomial(
+        polynomial_from_lsf(local.ar_lsf)[0], z_inverse
+    )
+    density = 2.0 * local.variance[0] * np.square(local.gain[0] * np.abs(transfer)) / model.sample_rate
+    return np.where(frequency <= 0.5 * model.sample_rate, density, 0.0)
+
+
+def _evaluate_polynomial(coefficients: Float, turn: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    value = np.zeros_like(turn)
+    for coefficient in coefficients[::-1]:
+        value = value * turn + coefficient
+    return value

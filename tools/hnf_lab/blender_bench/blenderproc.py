@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_blender import compat
 from hnf_blender.bridge.render.cycles import set_camera
 from hnf_blender.bridge.scene.temp_scene import suppress_output
 from hnf_core.scene.camera import Camera
@@ -105,7 +104,7 @@ def _key_cameras(scene: Any, cameras: Sequence[Camera]) -> None:
 def _set_up_compositor(scene: Any, folder: str, denoise: bool) -> None:
     layer = scene.view_layers[0]
     layer.use_pass_z = layer.use_pass_normal = layer.use_pass_diffuse_color = True
-    tree, composite = compat.new_compositor(scene)
+    tree, composite = new_compositor(scene)
     scene.render.use_compositing = True
     layers = tree.nodes.new("CompositorNodeRLayers")
     layers.scene = scene
@@ -118,8 +117,8 @@ def _set_up_compositor(scene: Any, folder: str, denoise: bool) -> None:
         tree.links.new(layers.outputs["Normal"], node.inputs["Normal"])
         image = node.outputs["Image"]
     tree.links.new(image, composite)
-    compat.write_exr_from(tree, layers.outputs["Depth"], folder, "depth_")
-    compat.use_exr(scene.render.image_settings)
+    write_exr_from(tree, layers.outputs["Depth"], folder, "depth_")
+    use_exr(scene.render.image_settings)
 
 
 def _read_depth(folder: Path, frame: int) -> Float32:
@@ -130,3 +129,38 @@ def _read_depth(folder: Path, frame: int) -> Float32:
 def _read_single_pass(path: Path) -> Float32:
     """Read the only pass of a file."""
     return next(iter(read_exr(path).values()))
+
+
+def new_compositor(scene: Any) -> tuple[Any, Any]:
+    """Create an empty compositor tree for a scene; return the tree and the input socket for its image."""
+    if hasattr(scene, "compositing_node_group"):  # 5.0: a node group like any other
+        import bpy
+
+        tree = bpy.data.node_groups.new("Compositor", "CompositorNodeTree")
+        scene.compositing_node_group = tree
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+        return tree, tree.nodes.new("NodeGroupOutput").inputs[0]
+    scene.use_nodes = True
+    tree = scene.node_tree
+    tree.nodes.clear()
+    return tree, tree.nodes.new("CompositorNodeComposite").inputs["Image"]
+
+
+def write_exr_from(tree: Any, socket: Any, folder: str, stem: str) -> None:
+    """Add a compositor node that writes a socket as float32 EXR to the file folder/STEM*FRAME.exr."""
+    node = tree.nodes.new("CompositorNodeOutputFile")
+    use_exr(node.format)
+    if hasattr(node, "file_output_items"):  # 5.0
+        node.directory, node.file_name = folder, stem
+        node.file_output_items.new("FLOAT", "value")
+    else:
+        node.base_path = folder
+        node.file_slots[0].path = stem
+    tree.links.new(socket, node.inputs[0])
+
+
+def use_exr(settings: Any) -> None:
+    """Set image settings to a plain float32 EXR."""
+    if hasattr(settings, "media_type"):
+        settings.media_type = "IMAGE"
+    settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"

@@ -23,11 +23,12 @@ from hnf_core.material.fuse import SIGNIFICANT_DECADES
 from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, LEVELS, SMOOTH_LEVEL, TOKEN_DIM, Token
 from hnf_core.simulation.material_classes import derive_seed, sample_instance
 from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, height_map
-from hnf_core.tactile.optics import Sensor, decode_gradients, gel_gradients, get_sensor, perturb_sensor, shade
+from hnf_core.tactile.optics import Sensor, decode_gradients, gel_gradients, get_sensor, shade
 from hnf_core.tactile.tactile_map import Route, TactileMap
 from hnf_core.tactile.views import PITCHES_M
 
 from ..evaluation.held_out import KnownMaterial, compute_distance_db, predict_spectrum
+from .network import perturb_sensor
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]

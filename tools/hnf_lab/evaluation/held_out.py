@@ -21,10 +21,11 @@ from hnf_core.field.field import Field
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.library import get_material
-from hnf_core.metrics.spectra import average_spectrum_distance_db, power_bias_db, welch
+from hnf_core.metrics.spectra import average_spectrum_distance_db, welch
 
 from ..bootstrap import bootstrap_mean
 from .methods import compute_expected_densities
+from .metrics import power_bias_db
 from .report import ExtraTable
 from .scoring import FREQUENCY_HZ, RATE_HZ
 

@@ -26,14 +26,15 @@ from hnf_core.datasets.recording import ActionRange, Recording
 from hnf_core.datasets.time_series import RAW_BANDWIDTH_HZ, smooth_series
 from hnf_core.errors import pluralize
 from hnf_core.field.field import FieldConfig
-from hnf_core.metrics.similarity import st_sim_cosine, st_sim_tum
-from hnf_core.metrics.spectra import average_spectrum_distance_db, lsd_log10_magnitude, welch, window_magnitudes
+from hnf_core.metrics.similarity import st_sim_tum
+from hnf_core.metrics.spectra import average_spectrum_distance_db, welch, window_magnitudes
 from hnf_core.tactile.optics import SENSORS
 from hnf_core.training.published_form import make_added_strokes
 
 from ..baselines.interface import FittedMaterial, MaterialRecordings
 from .materials import EvaluationJob, EvaluationSizes, describe_sensor_tokens, make_subject, record_training_strokes
 from .methods import Budget, SharedField, select_entries
+from .metrics import lsd_log10_magnitude, st_sim_cosine
 from .report import BEST_NAME, ORACLE_NAME, format_table
 from .run import SENSOR_LABELS
 from .scoring import FREQUENCY_HZ, RATE_HZ, Reference, make_references, make_training_actions, make_trials

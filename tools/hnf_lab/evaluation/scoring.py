@@ -20,20 +20,17 @@ from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVE_NAMES
 from hnf_core.action.synthetic_actions import make_circular_action, make_random_smooth_action, make_steady_action
 from hnf_core.datasets.recording import ActionRange, TextureProcess
-from hnf_core.metrics.similarity import spqi, st_sim_cosine, st_sim_tum
+from hnf_core.metrics.similarity import spqi, st_sim_tum
 from hnf_core.metrics.spectra import (
     WINDOW_SAMPLES,
     average_spectrum_distance_db,
-    gfc,
-    lsd_log10_magnitude,
     lsd_power_db,
-    nine_band_error_db,
-    power_bias_db,
     welch,
     window_magnitudes,
 )
 
 from .bounds import REALISATION_COUNT, MetricBounds, compute_bounds, measure_repetition
+from .metrics import gfc, lsd_log10_magnitude, nine_band_error_db, power_bias_db, st_sim_cosine
 
 TrainingStrokes = Literal["wandering", "circular", "circular and primitives"]
 """Kinds of training strokes.

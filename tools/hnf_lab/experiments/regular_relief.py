@@ -54,7 +54,7 @@ class RegularSurface:
 
 def make_grating(pitch_m: float, amplitude_m: float) -> RegularSurface:
     """Make a grating of sine ridges across x, measured; the map holds a whole number of its waves."""
-    from hnf_core.training.simulated_strokes import make_surface
+    from hnf_lab.shared_field.simulated_strokes import make_surface
 
     wave = amplitude_m * np.sin(2.0 * np.pi * np.arange(512) * (TILE_SIZE_M / 512) / pitch_m)
     surface = make_surface("grating", np.broadcast_to(wave, (512, 512)).astype(np.float32).copy())

@@ -30,9 +30,7 @@ from hnf_core.field.features import normalise_tokens
 from hnf_core.field.field import FieldConfig
 from hnf_core.field.weights import DEFAULT_WEIGHTS, HELD_OUT_WEIGHTS, load_field
 from hnf_core.simulation.material_classes import get_category, list_classes
-from hnf_core.training.fit import Schedule, build_training_set, fit_network
 from hnf_core.training.model import FieldNetwork
-from hnf_core.training.simulated_strokes import StrokeCondition, make_middle_conditions, make_speed_grid
 from hnf_lab import ROOT
 from hnf_lab.bootstrap import Interval, bootstrap_mean
 from hnf_lab.shared_field.references import (
@@ -45,6 +43,7 @@ from hnf_lab.shared_field.references import (
     predict_spectra,
     select_materials,
 )
+from hnf_lab.shared_field.simulated_strokes import StrokeCondition, make_middle_conditions, make_speed_grid
 from hnf_lab.shared_field.train_shared import (
     HELD_OUT,
     SHARED_CONFIG,
@@ -54,6 +53,8 @@ from hnf_lab.shared_field.train_shared import (
     load_or_simulate_references,
 )
 from hnf_lab.shared_field.training_data import Sizes, TrainingData, build_training_data, load_specimens
+
+from ..shared_field.fit import Schedule, build_training_set, fit_network
 
 Float = NDArray[np.float64]
 

@@ -24,7 +24,6 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np
 
 from hnf_core.action.synthetic_actions import make_steady_action
-from hnf_core.datasets.hatt_synthesis import compute_power_spectrum
 from hnf_core.datasets.registry import (
     get_training_recordings,
     open_dataset,
@@ -41,6 +40,7 @@ from hnf_core.metrics.spectra import (
 )
 from hnf_core.training.from_recordings import TrainingOverrides, train_from_recordings
 
+from ..baselines.piecewise_ar import compute_power_spectrum
 from ..evaluation.bounds import (
     compute_bounds,
     measure_repetition,

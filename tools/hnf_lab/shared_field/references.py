@@ -19,10 +19,9 @@ from hnf_core.errors import FileError
 from hnf_core.field.field import FieldConfig
 from hnf_core.files import write_bytes
 from hnf_core.safetensors_io import dump_tensors, load_tensors
-from hnf_core.training.fit import Likelihood, build_network_inputs
+from hnf_core.training.fit import FINE_BINS
 from hnf_core.training.model import FieldNetwork
-from hnf_core.training.simulated_strokes import (
-    FINE_BINS,
+from hnf_lab.shared_field.simulated_strokes import (
     Specimen,
     SteadyStroke,
     StrokeCondition,
@@ -30,6 +29,8 @@ from hnf_core.training.simulated_strokes import (
     make_patches,
     record_strokes,
 )
+
+from .fit import Likelihood, build_network_inputs
 
 Float = NDArray[np.float64]
 

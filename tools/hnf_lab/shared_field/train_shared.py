@@ -23,9 +23,7 @@ from hnf_core.files import write_atomically
 from hnf_core.material import contact_model
 from hnf_core.material.encoder_registry import get_encoder
 from hnf_core.material.token import ENCODER_ID
-from hnf_core.training.fit import Schedule, build_training_set, fit_network
 from hnf_core.training.model import FieldNetwork
-from hnf_core.training.simulated_strokes import Specimen, StrokeCondition, make_middle_conditions, make_speed_grid
 from hnf_lab.shared_field.references import (
     References,
     compute_new_patch_distances_db,
@@ -34,6 +32,7 @@ from hnf_lab.shared_field.references import (
     select_materials,
     simulate_references,
 )
+from hnf_lab.shared_field.simulated_strokes import Specimen, StrokeCondition, make_middle_conditions, make_speed_grid
 from hnf_lab.shared_field.training_data import (
     Sizes,
     TrainingData,
@@ -44,6 +43,8 @@ from hnf_lab.shared_field.training_data import (
     save_training_data,
     select_classes,
 )
+
+from .fit import Schedule, build_training_set, fit_network
 
 Float = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from hnf_core.field.features import PROBE_KINDS
 from hnf_core.files import write_bytes
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.safetensors_io import dump_tensors, load_tensors
-from hnf_core.training.simulated_strokes import (
+from hnf_lab.shared_field.simulated_strokes import (
     Specimen,
     SteadyStroke,
     draw_steady_strokes,

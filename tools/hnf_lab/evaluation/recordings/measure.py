@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.datasets.hatt import HattFolder
 from hnf_core.datasets.hatt_models import TextureModel
-from hnf_core.datasets.hatt_synthesis import compute_power_spectrum, interpolate_filters
+from hnf_core.datasets.hatt_synthesis import interpolate_filters
 from hnf_core.datasets.simulated import SimulatedLibrary
 from hnf_core.errors import FileError, MaterialError
 from hnf_core.field.field import Field
@@ -32,6 +32,7 @@ from hnf_core.material.ranking import find_material, rank
 from hnf_core.metrics.spectra import welch
 from hnf_core.progress import Progress, ProgressCallback, ignore_progress
 
+from ...baselines.piecewise_ar import compute_power_spectrum
 from .spectra import (
     FINE_HZ,
     STEP_HZ,

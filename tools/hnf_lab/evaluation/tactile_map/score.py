@@ -25,7 +25,7 @@ from hnf_core.metrics.spectra import select_compared_bins
 from hnf_core.simulation.material_classes import get_category
 from hnf_core.tactile.optics import get_sensor
 from hnf_core.tactile.tactile_map import Route
-from hnf_core.training.simulated_strokes import make_middle_conditions, make_speed_grid
+from hnf_lab.shared_field.simulated_strokes import make_middle_conditions, make_speed_grid
 
 from ..methods import compute_window_densities
 from ..scoring import FREQUENCY_HZ

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.datasets.pair_generation import FACTORS, PITCH_M, RenderedTile, TileRequest, render_tile, simulate_camera
 from hnf_core.datasets.tactile_pairs import PAIR_SENSORS, decode_rgb, encode_rgb
-from hnf_core.errors import FileError
+from hnf_core.errors import FileError, UsageError
 from hnf_core.files import content_hash, write_bytes
 from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.encoder_registry import Encoder, describe_views
@@ -30,9 +30,18 @@ from hnf_core.simulation.material_classes import get_category
 from hnf_core.simulation.surface_recipe import TILE_PIXELS
 from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict_slopes
 from hnf_core.tactile.diffusion.unet import MapWeights
+from hnf_core.tactile.fourier_filters import frequencies
 from hnf_core.tactile.optics import get_sensor, limit_slope, shade
 from hnf_core.tactile.tactile_map import Route, TactileMap
-from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, AppearanceView, cut_views, decimate_tile, find_view_corners
+from hnf_core.tactile.views import (
+    PITCHES_M,
+    VIEW_PIXELS,
+    AppearanceView,
+    Float,
+    _decimation_response,
+    cut_views,
+    find_view_corners,
+)
 from hnf_core.threads import available_cpus, single_blas_thread
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -269,3 +278,22 @@ def predict_tile(weights: MapWeights, tile: HeldOutTile, query: Query, seed: int
 def mask_depth(view: AppearanceView, depth: bool) -> AppearanceView:
     """Return the view, with its depth unknown unless `depth` is true."""
     return view if depth else replace(view, depth_m=np.zeros_like(view.depth_m), depth_known=False)
+
+
+def decimate_tile(tile: ArrayLike, factor: int) -> Float:
+    """Decimate a periodic map (..., H, W) to (..., H/factor, W/factor), with the low-pass of `antialias`.
+
+    New pixel centres are the centres of the factor × factor blocks that they replace. Raises UsageError if the factor
+    does not divide the size.
+    """
+    values = np.asarray(tile, dtype=np.float64)
+    rows, columns = values.shape[-2:]
+    if factor < 1 or rows % factor or columns % factor:
+        raise UsageError(f"a tile of {rows} × {columns} pixels cannot be made {factor} times as coarse.")
+    if factor == 1:
+        return values.copy()
+    fx, fy = frequencies((rows, columns), 1.0)
+    # The shift from the first pixel's centre to the block's is half a block less half a pixel (y up, rows down).
+    shift = np.exp(2j * np.pi * (factor - 1) / 2.0 * (fx - fy))
+    spectrum = np.fft.rfft2(values) * (_decimation_response((rows, columns), float(factor)) * shift)
+    return np.ascontiguousarray(np.fft.irfft2(spectrum, s=(rows, columns))[..., ::factor, ::factor])

@@ -13,12 +13,7 @@ torch = pytest.importorskip("torch", reason="alignment trains with torch")
 from hnf_core.datasets.tactile_pairs import PAIR_SENSORS, encode_rgb
 from hnf_core.datasets.vision_touch import VisionTouchPair
 from hnf_core.errors import FileError, UsageError
-from hnf_core.tactile.optics import (
-    SENSORS,
-    gel_gradients,
-    perturb_sensor,
-    shade,
-)
+from hnf_core.tactile.optics import SENSORS, gel_gradients, shade
 from hnf_lab.alignment.encoders import (
     COLOUR_SCALE,
     TOUCH_SCALE,
@@ -40,6 +35,7 @@ from hnf_lab.alignment.inputs import (
     render_touch,
     select_labelled,
 )
+from hnf_lab.encoder.network import perturb_sensor
 
 
 @given(st.integers(0, 7), st.integers(0, 2**31))

@@ -13,7 +13,7 @@ from hnf_core.datasets.hatt_models import (
     lsf_from_polynomial,
     polynomial_from_lsf,
 )
-from hnf_core.datasets.hatt_synthesis import HattProcess, compute_power_spectrum
+from hnf_core.datasets.hatt_synthesis import HattProcess
 from hnf_core.datasets.recording import Recording
 from hnf_core.errors import FileError
 from hnf_lab.baselines import piecewise_ar as fitting
@@ -24,6 +24,7 @@ from hnf_lab.baselines.interface import (
 from hnf_lab.baselines.piecewise_ar import (
     PiecewiseAr,
     compute_ar_density,
+    compute_power_spectrum,
     fit_burg,
 )
 

@@ -26,7 +26,6 @@ from hnf_core.material.library import get_material
 from hnf_core.material.token import ENCODER_ID
 from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, load_map_weights, save_map_weights
 from hnf_core.tactile.views import AppearanceView
-from hnf_core.training.simulated_strokes import make_middle_conditions, make_speed_grid
 from hnf_lab.bootstrap import bootstrap_mean, bootstrap_ratio
 from hnf_lab.evaluation.held_out import KnownMaterial, predict_spectrum
 from hnf_lab.evaluation.tactile_map import run, score, tiles
@@ -56,6 +55,7 @@ from hnf_lab.evaluation.tactile_map.score import (
     score_spectra,
 )
 from hnf_lab.evaluation.tactile_map.tiles import ArrayCache
+from hnf_lab.shared_field.simulated_strokes import make_middle_conditions, make_speed_grid
 
 pytestmark = pytest.mark.filterwarnings("error")
 SEED = st.integers(0, 2**31)

@@ -15,10 +15,10 @@ from hnf_core.field.field import FieldConfig
 from hnf_core.field.weights import check_encoders, read_encoders, save_field
 from hnf_core.material.alexnet_encoder import save_encoder
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM
-from hnf_core.training.fit import Schedule, TrainingSet
 from hnf_core.training.model import FieldNetwork
-from hnf_core.training.simulated_strokes import make_class_specimens, make_middle_conditions
+from hnf_lab.shared_field.fit import Schedule, TrainingSet
 from hnf_lab.shared_field.references import simulate_references
+from hnf_lab.shared_field.simulated_strokes import make_class_specimens, make_middle_conditions
 from hnf_lab.shared_field.train_shared import TrainingPlan, describe_field, fit_shared_field, load_or_encode_tokens
 from hnf_lab.shared_field.training_data import Sizes, build_training_data, encode_surfaces
 

@@ -14,8 +14,7 @@ from shared_field_builders import CONDITIONS, CONFIG, SIZES, gather_strokes, mak
 from hnf_core.errors import FileError
 from hnf_core.material.library import LIBRARY_PATH
 from hnf_core.simulation.material_classes import list_classes
-from hnf_core.training.fit import Schedule, build_training_set
-from hnf_core.training.simulated_strokes import make_middle_conditions
+from hnf_lab.shared_field.fit import Schedule, build_training_set
 from hnf_lab.shared_field.references import (
     compute_distances_db,
     compute_new_patch_distances_db,
@@ -24,6 +23,7 @@ from hnf_lab.shared_field.references import (
     save_references,
     select_materials,
 )
+from hnf_lab.shared_field.simulated_strokes import make_middle_conditions
 from hnf_lab.shared_field.train_shared import TrainingPlan, collect_training_ranges, fit_shared_field
 from hnf_lab.shared_field.training_data import (
     Sizes,

@@ -12,26 +12,26 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.pair_generation import CROSSOVER_WAVELENGTH_M, RANDOM_SCALE_DECADES, splice_spectra
-from ..field.features import PROBE_KINDS
-from ..material.contact_model import LEARNED_MECHANICS, Mechanics
-from ..material.encoder_registry import get_encoder
-from ..material.probe import get_probe
-from ..material.token import ENCODER_ID
-from ..metrics.spectra import WINDOW_SAMPLES, window_power
-from ..signal import dft321
-from ..simulation.contact_dynamics import SmoothedMaps
-from ..simulation.material_classes import derive_seed, list_classes, sample_instance
-from ..simulation.simulate import LEARNED_PHYSICS, SAMPLE_RATE_HZ, Stroke, simulate_batch, straight_stroke
-from ..simulation.surface_recipe import TILE_SIZE_M, SurfaceRecipe, height_map, random_recipe
-from ..tactile.height import tactile_map_from_height
+from hnf_core.datasets.pair_generation import CROSSOVER_WAVELENGTH_M, RANDOM_SCALE_DECADES, splice_spectra
+from hnf_core.field.features import PROBE_KINDS
+from hnf_core.material.contact_model import LEARNED_MECHANICS, Mechanics
+from hnf_core.material.encoder_registry import get_encoder
+from hnf_core.material.probe import get_probe
+from hnf_core.material.token import ENCODER_ID
+from hnf_core.metrics.spectra import window_power
+from hnf_core.signal import dft321
+from hnf_core.simulation.contact_dynamics import SmoothedMaps
+from hnf_core.simulation.material_classes import derive_seed, list_classes, sample_instance
+from hnf_core.simulation.simulate import LEARNED_PHYSICS, SAMPLE_RATE_HZ, Stroke, simulate_batch, straight_stroke
+from hnf_core.simulation.surface_recipe import TILE_SIZE_M, SurfaceRecipe, height_map, random_recipe
+from hnf_core.tactile.height import tactile_map_from_height
+from hnf_core.training.fit import COARSE_EDGES_HZ, FINE_BINS, pool_bins
 
 Float = NDArray[np.float64]
 
@@ -279,28 +279,9 @@ def make_middle_conditions() -> list[StrokeCondition]:
     ]
 
 
-FINE_BINS = 100
-"""Bins 1–100 of a 1000-sample window: 10–1000 Hz, without DC."""
-COARSE_EDGES_HZ = 1000.0 * 5.0 ** (np.arange(8) / 7.0)
-"""Edges of seven bands above, to 5 kHz, so that the total power is right too."""
 SETTLE_S = 0.06
 """Start of a simulation that is discarded [s]."""
 STROKES_PER_BATCH = 512
-
-
-def pool_bins(power: Float) -> Float:
-    """Pool a window's spectrum (…, 501) into (…, 107): 100 bins of 10 Hz, then the mean densities of seven bands."""
-    frequency = np.fft.rfftfreq(WINDOW_SAMPLES, 1.0 / SAMPLE_RATE_HZ)
-    fine = power[..., 1 : FINE_BINS + 1]
-    coarse = [
-        power[..., (frequency > low) & (frequency <= high)].mean(axis=-1) for low, high in pairwise(COARSE_EDGES_HZ)
-    ]
-    return np.concatenate([fine, np.stack(coarse, axis=-1)], axis=-1)
-
-
-def compute_bin_widths() -> Float:
-    """Return the width (107,) [Hz] of the pooled bins and bands; density times width sums to power."""
-    return np.concatenate([np.full(FINE_BINS, SAMPLE_RATE_HZ / WINDOW_SAMPLES), np.diff(COARSE_EDGES_HZ)])
 
 
 def record_strokes(
