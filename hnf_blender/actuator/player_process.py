@@ -22,15 +22,20 @@ from pathlib import Path
 from typing import Any
 
 from hnf_core.actuators.player_messages import Command, Quit, Report, decode_report, encode
-from hnf_core.child_process import CORE_FOLDER
 from hnf_core.errors import DeviceError, FileError, HnfError, UsageError
 
-from ..jobs.child_job import CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW, make_job_folder, remove_job_folder
+from ..jobs.child_job import (
+    CREATE_NEW_PROCESS_GROUP,
+    CREATE_NO_WINDOW,
+    make_blender_command,
+    make_job_folder,
+    make_python_command,
+    remove_job_folder,
+)
+from ..jobs.worker import LIST_DEVICES, WRONG_PYTHON
 from ..translations import tr
 from .actuator_state import ACTUATOR, Output
-from .player_worker import LIST_DEVICES, WRONG_PYTHON
 
-WORKER = Path(__file__).with_name("player_worker.py")
 ERROR_TAIL_LINES = 12
 EXIT_GRACE_S = 1.0
 """Time that a child process has to fade out and exit before it is killed [s]."""
@@ -166,23 +171,12 @@ def list_worker_commands(module: str, arguments: Sequence[str]) -> tuple[list[st
     import bpy
 
     version = "{}.{}".format(*sys.version_info)
-    worker_arguments = [CORE_FOLDER, json.dumps([entry for entry in sys.path if entry]), version, module, *arguments]
+    words = ["play", json.dumps([entry for entry in sys.path if entry]), version, module, *arguments]
     commands = []
     if sys.executable:
-        commands.append([sys.executable, "-I", str(WORKER), *worker_arguments])
+        commands.append(make_python_command(*words, options=["-I"]))
     if bpy.app.binary_path:
-        commands.append(
-            [
-                bpy.app.binary_path,
-                "-b",
-                "--factory-startup",
-                "-noaudio",
-                "--python",
-                str(WORKER),
-                "--",
-                *worker_arguments,
-            ]
-        )
+        commands.append(make_blender_command(bpy.app.binary_path, *words))
     return tuple(commands)
 
 
@@ -322,7 +316,7 @@ class DeviceScanner:
 def store_scan_result(line: str) -> None:
     """Store the search's result in ACTUATOR.
 
-    Raises FileError if `line` was not written by `player_worker.print_devices`.
+    Raises FileError if `line` was not written by `worker.print_devices`.
     """
     try:
         result = json.loads(line)

@@ -162,10 +162,21 @@ def is_process_alive(pid: int) -> bool:
     return is_process_alive(pid)
 
 
-WORKER = Path(__file__).with_name("worker.py")
+WORKER = str(Path(__file__).with_name("worker.py"))
 OUTPUT_TAIL_LINES = 12
 KILL_TIMEOUT_S = 5.0
 """Time that a thread waits for a killed process to end [s]."""
+
+
+def make_python_command(*words: str, python: str = "", options: Sequence[str] = ()) -> list[str]:
+    """Return the command line of a task of `worker.py` with its words, run by a Python, this one if none is given."""
+    return [python or sys.executable, *options, WORKER, CORE_FOLDER, *words]
+
+
+def make_blender_command(binary: str, *words: str) -> list[str]:
+    """Return the command line of a task of `worker.py` with its words, run by a Blender in the background."""
+    return [binary, "-b", "--factory-startup", "-noaudio", "--python", WORKER, "--", CORE_FOLDER, *words]
+
 
 NICENESS = 5
 """Added niceness of a child process, which is busiest while it starts; the user's Blender takes precedence."""
@@ -331,19 +342,7 @@ def make_blender_program(folder: Path) -> ChildProgram:
     # What it leaves if it is killed lies in the job's folder, which is removed.
     environment = {**os.environ, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))}
     binary = bpy.app.binary_path
-    command = [sys.executable, str(WORKER), CORE_FOLDER, str(folder)]
-    if binary:
-        command = [
-            binary,
-            "-b",
-            "--factory-startup",
-            "-noaudio",
-            "--python",
-            str(WORKER),
-            "--",
-            CORE_FOLDER,
-            str(folder),
-        ]
+    command = make_blender_command(binary, "bake", str(folder)) if binary else make_python_command("bake", str(folder))
     remedy = "Bake in the background instead: blender -b FILE --command hnf touch --out DIR"
     return ChildProgram(command, "a second Blender", remedy, environment)
 

@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hnf_core.child_process import CORE_FOLDER
 from hnf_core.dataclass_json import encode_json
 from hnf_core.datasets.registry import LICENCES
 from hnf_core.diagnostics import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
@@ -40,6 +39,7 @@ from .child_job import (
     Step,
     kill_process_group,
     make_job_folder,
+    make_python_command,
     remove_job_folder,
 )
 
@@ -125,7 +125,6 @@ def _make_unusable(path: str, problem: str) -> ExternalPython:
     return ExternalPython(path, "", (), (), problem)
 
 
-WORKER = Path(__file__).with_name("learn_worker.py")
 LEARNING_KILLED_REMEDY = "Nothing was changed. Learn it again with the same choices to resume. If it happens again, "
 LEARNING_KILLED_REMEDY += "close other programs (memory)."
 
@@ -161,7 +160,7 @@ class LearnJob(ChildJob):
         self._training_since: float | None = None
         self.out = make_weights_path(lesson)
         self.folder = make_job_folder()
-        command = [python, str(WORKER), CORE_FOLDER, encode_json(lesson), str(self.out)]
+        command = make_python_command("learn", encode_json(lesson), str(self.out), python=python)
         program = ChildProgram(
             command, "the external Python", "Check it in the add-on's preferences.", make_clean_environment()
         )  # fmt: skip

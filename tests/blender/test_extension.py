@@ -256,7 +256,8 @@ def test_training_code_in_the_zip_runs_without_blender(profile: Profile) -> None
     lesson = {"kind": "simulated", "folder": "", "material": "unobtainium", "seconds": 5.0, "epochs": 1}
     site = next(entry for entry in sys.path if entry.endswith("site-packages"))
     guard = f"import sys; sys.path.append({site!r}); sys.modules['bpy'] = None; import runpy; sys.argv.pop(0); "
-    words = [str(inside / "jobs" / "learn_worker.py"), str(inside / "hnf_core"), json.dumps(lesson), "out.safetensors"]
+    worker, core = str(inside / "jobs" / "worker.py"), str(inside / "hnf_core")
+    words = [worker, core, "learn", json.dumps(lesson), "out.safetensors"]
     start = f"{guard}runpy.run_path(sys.argv[0], run_name='__main__')"
     with subprocess.Popen(
         [sys.executable, "-S", "-I", "-c", start, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE,

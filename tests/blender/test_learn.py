@@ -284,11 +284,11 @@ def test_a_lessons_parent_that_dies_takes_it_along(tmp_path) -> None:
     """Its standard input ends."""
     import subprocess
 
-    from hnf_core import errors
+    from hnf_blender.jobs.child_job import make_python_command
     from hnf_core.dataclass_json import encode_json
 
     lesson = encode_json(LearnRequest("simulated", "", "oak-wood", 60.0, 1))
-    words = [sys.executable, str(learn_job.WORKER), str(Path(errors.__file__).parent), lesson, str(tmp_path / "out")]
+    words = make_python_command("learn", lesson, str(tmp_path / "out"))
     process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdout is not None
     assert process.stdin is not None
