@@ -61,10 +61,10 @@ MIN_PREFIX_LETTERS = 3
 """Shortest word that counts as a prefix."""
 
 
-def close_matches(word: str, names: Iterable[str], limit: int = 3) -> list[str]:
-    """Return at most `limit` of the names that resemble a word, the closest first; case does not count."""
+def close_matches(word: str, names: Iterable[str]) -> list[str]:
+    """Return at most three of the names that resemble a word, the closest first; case does not count."""
     ranked = sorted(((-_similarity(word.lower(), name.lower()), name) for name in names), key=lambda scored: scored[0])
-    return [name for negative_score, name in ranked[:limit] if -negative_score >= MIN_SIMILARITY]
+    return [name for negative_score, name in ranked[:3] if -negative_score >= MIN_SIMILARITY]
 
 
 def _similarity(word: str, name: str) -> float:

@@ -509,7 +509,7 @@ def covers(patch: Patch, contacts: Contacts) -> Bool:
     return np.asarray(inside & (contacts.slot == patch.slot) & (contacts.normal @ patch.normal >= MAX_TURN_COSINE))
 
 
-def plan_patches(contacts: Contacts, patch_size: float = PATCH_SIZE_M) -> tuple[tuple[Patch, ...], Int32]:
+def plan_patches(contacts: Contacts) -> tuple[tuple[Patch, ...], Int32]:
     """Choose the fewest patches (flat squares on the surface) that cover a stroke in order.
 
     Each new patch is centred as far ahead as it still covers the first sample that no earlier patch covers. A sample
@@ -520,8 +520,6 @@ def plan_patches(contacts: Contacts, patch_size: float = PATCH_SIZE_M) -> tuple[
     ----------
     contacts : Contacts
         Contacts of the stroke.
-    patch_size : float
-        Side of a patch [m].
 
     Returns
     -------
@@ -536,11 +534,11 @@ def plan_patches(contacts: Contacts, patch_size: float = PATCH_SIZE_M) -> tuple[
     while uncovered.any():
         first = int(np.argmax(uncovered))
         centre = first
-        patch = _make_patch(contacts, first, patch_size)
+        patch = _make_patch(contacts, first)
         for index in range(first + 1, len(uncovered)):
             if not uncovered[index]:
                 break
-            candidate = _make_patch(contacts, index, patch_size)
+            candidate = _make_patch(contacts, index)
             if not covers(candidate, _slice_contacts(contacts, slice(first, index + 1))).all():
                 break
             patch, centre = candidate, index
@@ -597,8 +595,8 @@ def action_from_contacts(
     )
 
 
-def _make_patch(contacts: Contacts, i: int, size_m: float) -> Patch:
-    return Patch(contacts.point[i], contacts.uv_tangent[i], contacts.normal[i], int(contacts.slot[i]), size_m)
+def _make_patch(contacts: Contacts, i: int) -> Patch:
+    return Patch(contacts.point[i], contacts.uv_tangent[i], contacts.normal[i], int(contacts.slot[i]), PATCH_SIZE_M)
 
 
 def _slice_contacts(contacts: Contacts, rows: slice) -> Contacts:

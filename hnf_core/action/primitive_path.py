@@ -130,8 +130,6 @@ def make_primitive_action(
     *,
     rate: float = ACTION_RATE_HZ,
     seed: int = 0,
-    size_m: float | None = None,
-    probe: str = "pen",
 ) -> Action:
     """Make the action u(t) of a primitive on a flat surface whose tangent is +x.
 
@@ -143,10 +141,6 @@ def make_primitive_action(
         Rate of the action [Hz].
     seed : int
         Shape of a rub.
-    size_m : float or None
-        Diameter of the surface [m]; None for one that is large enough.
-    probe : str
-        Contacting tip.
 
     Returns
     -------
@@ -156,9 +150,9 @@ def make_primitive_action(
     Raises
     ------
     UsageError
-        For an unknown name, or a size below 0.1 mm.
+        For an unknown name.
     """
-    path = make_primitive_path(primitive, size_m=size_m, seed=seed)
+    path = make_primitive_path(primitive, seed=seed)
     curve = make_path_curve(path)
     time = np.arange(int(np.ceil(path.duration_s * rate - 1e-9)) + 1) / rate
     progress, slope = path.progress.sample(time)
@@ -173,5 +167,4 @@ def make_primitive_action(
         force=force,
         position=position,
         contact=force > 0.0,
-        probe=probe,
     )

@@ -144,10 +144,10 @@ class FieldConfig:
             raise ValueError(f"spacing_s must lie between 0 and 1, a whole multiple of {step:g} s, not {spacing:g}")
 
     @staticmethod
-    def published(hidden: int = 1024, layers: int = 4, states: int = 5) -> FieldConfig:
+    def published(hidden: int = 1024, layers: int = 4) -> FieldConfig:
         """Return the paper's literal model: N heads and one constant carrier."""
         constant = Carriers(time_edges_hz=(), arc_octaves=0, constant=True)
-        return FieldConfig(hidden, layers, states, "heads", 0.0, constant, "linear", False, 0)
+        return FieldConfig(hidden, layers, 5, "heads", 0.0, constant, "linear", False, 0)
 
     @property
     def alpha_heads(self) -> int:

@@ -115,28 +115,19 @@ FRICTION_NOISE_WAVENUMBER = 1e3
 class KnownMechanics:
     """Properties as in `Mechanics`, without unknown values."""
 
-    stiffness_n_m: float
-    damping_ratio: float
-    friction: float
-    friction_noise_n: float
-    friction_noise_slope: float
-    pile_m: float
-    thread_spacing_m: float
-    pitch_scatter_m: float
+    stiffness_n_m: float = DEFAULT_STIFFNESS_N_M
+    damping_ratio: float = DEFAULT_DAMPING_RATIO
+    friction: float = DEFAULT_FRICTION
+    friction_noise_n: float = DEFAULT_FRICTION_NOISE_N
+    friction_noise_slope: float = DEFAULT_FRICTION_NOISE_SLOPE
+    pile_m: float = 0.0
+    thread_spacing_m: float = 0.0
+    pitch_scatter_m: float = 0.0
 
 
 def with_defaults(mechanics: Mechanics) -> KnownMechanics:
     """Replace unknown values (None) of the mechanics by DEFAULT_STIFFNESS_N_M and the other defaults above."""
-    return KnownMechanics(
-        DEFAULT_STIFFNESS_N_M if mechanics.stiffness_n_m is None else mechanics.stiffness_n_m,
-        DEFAULT_DAMPING_RATIO if mechanics.damping_ratio is None else mechanics.damping_ratio,
-        DEFAULT_FRICTION if mechanics.friction is None else mechanics.friction,
-        DEFAULT_FRICTION_NOISE_N if mechanics.friction_noise_n is None else mechanics.friction_noise_n,
-        DEFAULT_FRICTION_NOISE_SLOPE if mechanics.friction_noise_slope is None else mechanics.friction_noise_slope,
-        0.0 if mechanics.pile_m is None else mechanics.pile_m,
-        0.0 if mechanics.thread_spacing_m is None else mechanics.thread_spacing_m,
-        0.0 if mechanics.pitch_scatter_m is None else mechanics.pitch_scatter_m,
-    )
+    return KnownMechanics(**{name: value for name, value in vars(mechanics).items() if value is not None})
 
 
 def surface_stiffness_at_1n(mechanics: Mechanics, probe: Probe) -> float:

@@ -152,10 +152,11 @@ def build_palette(
     tokens: Sequence[NDArray[np.float32]],
     mechanics: Sequence[Mechanics],
     names: Sequence[str],
-    tolerance: float = MERGE_TOLERANCE,
     encoders: Iterable[str] = (ENCODER_ID,),
 ) -> tuple[Palette, NDArray[np.int32]]:
     """Build the palette of n materials, in which near-equal materials are merged.
+
+    They have the same name and mechanics, and tokens whose features differ by at most MERGE_TOLERANCE.
 
     Parameters
     ----------
@@ -165,8 +166,6 @@ def build_palette(
         Mechanics of the materials.
     names : sequence of str
         Names of the materials.
-    tolerance : float
-        Largest difference of any token feature between materials that are merged; name and mechanics must be equal.
     encoders : iterable of str
         Names of the encoders that any of the tokens came from.
 
@@ -187,7 +186,7 @@ def build_palette(
     for i, token in enumerate(tokens):
         for position, k in enumerate(unique):
             same = names[k] == names[i] and mechanics[k] == mechanics[i]
-            if same and float(np.max(np.abs(tokens[k].astype(np.float64) - token))) <= tolerance:
+            if same and float(np.max(np.abs(tokens[k].astype(np.float64) - token))) <= MERGE_TOLERANCE:
                 index[i] = position
                 break
         else:

@@ -144,11 +144,10 @@ def simulate_motion(
     mechanics: Sequence[Mechanics],
     probe: Probe = PEN,
     *,
-    oversample: int = 2,
     physics: Physics = FULL_PHYSICS,
 ) -> ContactMotion:
     """Simulate a batch like `simulate_batch`, but return acceleration, force and sliding at every integration step."""
-    blocks = list(_integrate_strokes(maps, strokes, mechanics, probe, oversample, physics))
+    blocks = list(_integrate_strokes(maps, strokes, mechanics, probe, 2, physics))
     return ContactMotion(
         np.concatenate([block.acceleration for block in blocks]),
         np.concatenate([block.normal_n for block in blocks]),

@@ -74,8 +74,8 @@ class Output:
 class Keyboard:
     """Single keys of a terminal, or the first letters of the lines of an input that is none."""
 
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = stream or sys.stdin
+    def __init__(self) -> None:
+        self._stream = sys.stdin
 
     def discard(self) -> None:
         """Forget the keys pressed until now in a terminal: those while a stimulus plays are no response to it."""

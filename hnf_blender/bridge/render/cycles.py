@@ -68,11 +68,11 @@ def add_aovs(view_layer: Any, taps: Iterable[Tap]) -> None:
         aov.name, aov.type = tap.name, tap.kind
 
 
-def add_camera(temporary: TemporaryScene, name: str = "hnf camera") -> Any:
+def add_camera(temporary: TemporaryScene) -> Any:
     """Add a camera to the temporary scene and make it the active one."""
     import bpy
 
-    camera = temporary.new_object(name, bpy.data.cameras.new(name))
+    camera = temporary.new_object("hnf camera", bpy.data.cameras.new("hnf camera"))
     temporary.scene.camera = camera
     return camera
 

@@ -67,8 +67,6 @@ class SplatCloseUpRenderer:
         All patches that will be rendered, in the surface frame.
     surface : Surface
         Surface of `obj`.
-    caster : RayCaster, optional
-        Ray caster of `surface`.
     pixels : int, default 512
         Maximum side of an image [pixels].
     """
@@ -80,11 +78,10 @@ class SplatCloseUpRenderer:
         patches: Sequence[Patch],
         *,
         surface: Surface,
-        caster: RayCaster | None = None,
         pixels: int = 512,
     ) -> None:
         self._obj, self._cloud, self._patches = obj, cloud, patches
-        self._surface, self._caster, self._pixels = surface, caster, pixels
+        self._surface, self._pixels = surface, pixels
         self._scene: _SplatScene | None = None
 
     def __enter__(self) -> SplatCloseUpRenderer:
@@ -113,9 +110,10 @@ class SplatCloseUpRenderer:
     def _read_scene(self) -> _SplatScene:
         frame = compute_cloud_frame(self._obj, self._cloud, self._surface.stretch)
         splats = read_cloud(self._cloud)
-        surface = self._surface if self._caster is not None else crop_to_patches(self._surface, self._patches)
-        caster = self._caster or make_ray_caster(surface.mesh)
-        return _SplatScene(surface, caster, frame, splats, f"splats of {get_cloud_source(self._cloud)}")
+        surface = crop_to_patches(self._surface, self._patches)
+        return _SplatScene(
+            surface, make_ray_caster(surface.mesh), frame, splats, f"splats of {get_cloud_source(self._cloud)}"
+        )
 
 
 @dataclass(frozen=True)

@@ -291,9 +291,8 @@ def read_stroke(
     metres_per_unit: float,
     *,
     surfaces: SurfaceGetter | None = None,
-    rate: float = ACTION_RATE_HZ,
 ) -> SceneStroke:
-    """Sample a stroke object at a rate [Hz].
+    """Sample a stroke object at `ACTION_RATE_HZ`.
 
     Parameters
     ----------
@@ -307,8 +306,6 @@ def read_stroke(
         Length of a Blender unit [m].
     surfaces : callable, optional
         Object → Surface, for callers that cache them.
-    rate : float, optional
-        Sampling rate [Hz].
 
     Returns
     -------
@@ -338,11 +335,13 @@ def read_stroke(
     profile, duration = choose_motion_profile(
         group, arc.length, (force_channel, progress_channel), start, base / fps, where
     )
-    time = make_time_grid(duration, rate, where=where)
+    time = make_time_grid(duration, ACTION_RATE_HZ, where=where)
     frames = np.array([seconds_to_frame(float(t), start, fps, base) for t in time])
     force, progress = sample_channels(obj, scene, (force_channel, progress_channel), frames)
     unclamped_force, force = force, clamp_force(force, frames, where=where, max_force=FORCE_MAX_N)
-    motion = compute_motion(group, profile, clamp_progress(progress, frames, where=where), time, arc.length, rate)
+    motion = compute_motion(
+        group, profile, clamp_progress(progress, frames, where=where), time, arc.length, ACTION_RATE_HZ
+    )
     check_motion(motion, where=where)
     rides = bool(group.rides)
     placements = None

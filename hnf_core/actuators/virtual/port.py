@@ -158,8 +158,6 @@ class VirtualPort:
         self,
         capabilities: Capabilities | None = None,
         transducer: Transducer = GENERIC_TRANSDUCER,
-        *,
-        speed: float = 1.0,
     ) -> None:
         try:
             import pty
@@ -172,7 +170,7 @@ class VirtualPort:
         self._open_pty, self._set_raw = pty.openpty, tty.setraw
         self.recording = Recording(transducer)
         self.device = VirtualDevice(capabilities, transducer, self.recording.record)
-        self.speed, self.ignores_host, self.skipped_frames = speed, False, 0
+        self.speed, self.ignores_host, self.skipped_frames = 1.0, False, 0
         self.baud: int | None = None
         self.from_host: WireFilter = _pass_through
         self.to_host: WireFilter = _pass_through
@@ -304,10 +302,6 @@ class VirtualSink(SerialSink):
     ----------
     rate_hz, channels, peak, slew_per_s
         As for `SerialSink`.
-    capabilities : Capabilities or None
-        Capabilities of the device.
-    transducer : Transducer
-        Mechanics of the device.
     """
 
     def __init__(
@@ -315,20 +309,17 @@ class VirtualSink(SerialSink):
         rate_hz: int | None = None,
         channels: int = 1,
         *,
-        capabilities: Capabilities | None = None,
-        transducer: Transducer = GENERIC_TRANSDUCER,
         peak: int = FULL_SCALE_COUNTS,
         slew_per_s: float = math.inf,
     ) -> None:
         super().__init__("virtual", rate_hz=rate_hz, channels=channels, peak=peak, slew_per_s=slew_per_s)
-        self._capabilities, self._transducer = capabilities, transducer
         self._device: VirtualPort | None = None
-        self.recording = Recording(transducer)
+        self.recording = Recording(GENERIC_TRANSDUCER)
 
     def open(self) -> SinkFormat:
         """Create the device and connect to it; raise DeviceError also if the system has no ptys."""
         self.close()
-        self._device = VirtualPort(self._capabilities, self._transducer)
+        self._device = VirtualPort()
         self._port, self.recording = self._device.path, self._device.recording
         return self._connect()
 
