@@ -26,13 +26,7 @@ from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, concatenate_pairs,
 from hnf_core.material.fuse import compute_library_spread
 from hnf_core.material.token import TOKEN_NAMES
 from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
-from hnf_core.training.tactile_map.train_map import (
-    LEARNING_RATES,
-    Distance,
-    MapTrainingPlan,
-    train_map,
-    write_token_error,
-)
+from hnf_core.training.train_map import LEARNING_RATES, Distance, MapTrainingPlan, train_map, write_token_error
 
 BUILD = ROOT / "build"
 

@@ -29,7 +29,7 @@ from .commands import (
 
 if TYPE_CHECKING:
     from ..datasets.recording import DataSet, Recording, TextureProcess
-    from ..training.tactile_map.train_map import Distance
+    from ..training.train_map import Distance
     from ..training.train_material import TrainingResult
 
 SIMULATED_PAIRS = "simulated"
@@ -94,7 +94,7 @@ def _run_tactile_map(arguments: argparse.Namespace) -> int:
 
 def _train_tactile_map(arguments: argparse.Namespace, checkpoint: Path) -> dict[str, Any]:
     with require_torch("training"):
-        from ..training.tactile_map.train_map import LEARNING_RATES, MapTrainingPlan, train_map, train_on_pairs
+        from ..training.train_map import LEARNING_RATES, MapTrainingPlan, train_map, train_on_pairs
 
     bar = ProgressBar()
 

@@ -55,7 +55,6 @@ from ..shader.closures import (
     mix_closures,
     read_shading_value,
 )
-from .closeup_resolution import choose_mesh_side, choose_resolution, get_relief_sources, is_image_based
 from .cycles import (
     FILTER_REACH,
     PLAIN_SAMPLING,
@@ -73,7 +72,16 @@ from .cycles import (
     render_passes,
     set_camera,
 )
-from .isolated_object import IsolatedObject, SlotReading, instrument_slot, isolate_object
+from .isolated_object import (
+    IsolatedObject,
+    SlotReading,
+    choose_mesh_side,
+    choose_resolution,
+    get_relief_sources,
+    instrument_slot,
+    is_image_based,
+    isolate_object,
+)
 
 Mask = NDArray[np.bool_]
 

@@ -2,7 +2,7 @@
 
 The forward pass is a few dozen matrix products. An image is (channels, rows · columns). A 3 × 3 convolution copies the
 image three times, shifted by a column, and is then one matrix product per row of the kernel: shifts by a row are
-offsets into the copies. `training.tactile_map.map_network` is the same network in torch.
+offsets into the copies. `training.map_network` is the same network in torch.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from hnf_core.tactile.diffusion.unet import (
     save_map_weights,
 )
 from hnf_core.tactile.fourier_filters import frequencies
-from hnf_core.training.tactile_map.map_network import (
+from hnf_core.training.map_network import (
     MapNetwork,
     apply_symmetry,
     compute_level_statistics,
@@ -41,12 +41,7 @@ from hnf_core.training.tactile_map.map_network import (
     pick_sensor,
     sample_slopes,
 )
-from hnf_core.training.tactile_map.train_map import (
-    MapTrainingPlan,
-    compute_band_powers,
-    fit_map,
-    write_token_error,
-)
+from hnf_core.training.train_map import MapTrainingPlan, compute_band_powers, fit_map, write_token_error
 
 TINY = MapConfig(**SMALL)
 QUICK = MapTrainingPlan(steps=6, batch=4, warm_up=2, half=False, validate_views=4)

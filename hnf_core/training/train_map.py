@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ...datasets.tactile_pairs import (
+from ..datasets.tactile_pairs import (
     HELD_OUT_CLASSES,
     HELD_OUT_INSTANCES,
     PAIR_SENSORS,
@@ -30,13 +30,13 @@ from ...datasets.tactile_pairs import (
     load_pairs,
     vary_photograph,
 )
-from ...errors import UsageError
-from ...files import content_hash
-from ...material.encoder_registry import describe_views, get_encoder
-from ...material.fuse import compute_library_spread
-from ...material.token import ENCODER_ID
-from ...tactile.diffusion.predict import make_tactile_map, predict_tactile_maps
-from ...tactile.diffusion.unet import (
+from ..errors import UsageError
+from ..files import content_hash
+from ..material.encoder_registry import describe_views, get_encoder
+from ..material.fuse import compute_library_spread
+from ..material.token import ENCODER_ID
+from ..tactile.diffusion.predict import make_tactile_map, predict_tactile_maps
+from ..tactile.diffusion.unet import (
     DIFFUSION,
     REGRESSION,
     TOKEN_ERROR,
@@ -45,8 +45,8 @@ from ...tactile.diffusion.unet import (
     load_map_weights,
     save_map_weights,
 )
-from ...tactile.views import AppearanceView
-from ..fit import Checkpoint, load_checkpoint, save_checkpoint
+from ..tactile.views import AppearanceView
+from .fit import Checkpoint, load_checkpoint, save_checkpoint
 from .map_network import (
     Batch,
     MapNetwork,

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ...datasets.tactile_pairs import Pairs, vary_photograph
-from ...tactile.diffusion.predict import (
+from ..datasets.tactile_pairs import Pairs, vary_photograph
+from ..tactile.diffusion.predict import (
     TRAIN_STEPS,
     NormalisedAppearance,
     alpha_bars,
@@ -27,7 +27,7 @@ from ...tactile.diffusion.predict import (
     normalise_appearance,
     velocity,
 )
-from ...tactile.diffusion.unet import HEADS, INPUT_CHANNELS, REGRESSION, MapConfig
+from ..tactile.diffusion.unet import HEADS, INPUT_CHANNELS, REGRESSION, MapConfig
 
 Array = NDArray[np.float32]
 
