@@ -256,6 +256,9 @@ class _ParsedStep:
     def refuse(self, what: str, remedy: str) -> UsageError:
         return make_error(self.words, what, remedy)
 
+    def contradict(self, one: str, two: str, remedy: str = "Give one direction.") -> UsageError:
+        return self.refuse(f"'{one}' and '{two}' contradict each other", remedy)
+
     def get(self, quantity: str) -> Any:
         return self.found.get(quantity, (None, ""))[0]
 
@@ -263,8 +266,7 @@ class _ParsedStep:
         """Record the value of a quantity; raise UsageError if another value was recorded before."""
         known = self.found.setdefault(quantity, (value, word))
         if known[0] != value:
-            name = _NAMES.get(quantity, quantity)
-            raise self.refuse(f"'{known[1]}' and '{word}' contradict each other", f"Give one {name}.")
+            raise self.contradict(known[1], word, f"Give one {_NAMES.get(quantity, quantity)}.")
 
     def _take_changes(self, tokens: list[Token]) -> list[Token]:
         """Take out the two values of a force or speed that changes: "from A to B", "A at first, B at the end"."""
@@ -275,13 +277,10 @@ class _ParsedStep:
             changes = bool(ramps) or f"{quantity}_change" in self.said
             alone = changes and len(values) == 1 and values[0].get("aim") == "to"
             if alone or (len(values) == 2 and (phases or changes or values[1].get("aim") == "to")):
-                first, last = (
-                    values[:: -1 if phases[:1] == ["end"] else 1][0],
-                    values[:: -1 if phases[:1] == ["end"] else 1][-1],
-                )
+                first, last = (values[-1], values[0]) if phases[:1] == ["end"] else (values[0], values[-1])
                 start, end = usual if alone else first.get(quantity), last.get(quantity)
                 if any((end - start) * ramp.get("ramp") < 0 for ramp in ramps):
-                    raise self.refuse(f"'{ramps[0].text}' and '{last.text}' contradict each other", "Leave one out.")
+                    raise self.contradict(ramps[0].text, last.text, "Leave one out.")
                 self.record(quantity, start, first.text)
                 self.record(f"end_{quantity}", end, last.text)
                 return self._take_changes([token for token in tokens if token not in values and token not in ramps])
@@ -363,10 +362,10 @@ class _ParsedStep:
         for verb, text in verbs:
             excluded = kind in STILL or (kind == "wander" and verb == "line")
             if excluded or (not kind and verb != verbs[0][0]):
-                one, two = sorted(
-                    (self.found["kind"][1] if excluded else verbs[0][1], text), key=self.words.lower().find
+                other = self.found["kind"][1] if excluded else verbs[0][1]
+                raise self.contradict(
+                    *sorted((other, text), key=self.words.lower().find), f"Give one {_NAMES['kind']}."
                 )
-                raise self.refuse(f"'{one}' and '{two}' contradict each other", f"Give one {_NAMES['kind']}.")
         weak = {verb for verb, _ in self.verbs}
         verb = verbs[0][0] if verbs else "hold" if "hold" in weak else ""
         if kind:
@@ -441,14 +440,13 @@ def _compute_angle(parsed: _ParsedStep) -> float | None:
     named, diagonal = [word for word in words if word in _GRID], "diagonal" in words
     if angle is not None:
         if set(words) - {"to"}:
-            said = f"'{parsed.found['angle'][1]}' and '{' '.join(words)}'"
-            raise parsed.refuse(f"{said} contradict each other", "Give one direction.")
+            raise parsed.contradict(parsed.found["angle"][1], " ".join(words))
         return float(angle)
     sides = [word for word in words if word != "to"] if "from" not in words else words
     for before, word, after in zip(sides, sides[1:], sides[2:], strict=False):
         opposed = [a * b for a, b in zip(_GRID.get(before, (0, 0)), _GRID.get(after, (0, 0)), strict=True)]
         if word == "and" and min(opposed) < 0:
-            raise parsed.refuse(f"'{before}' and '{after}' contradict each other", "Give one direction.")
+            raise parsed.contradict(before, after)
     if not named:
         if any(word != "and" for word in words) and not diagonal:
             raise parsed.refuse(f"'{words[0]}' leads nowhere", "Example: left to right.")
@@ -460,8 +458,7 @@ def _compute_angle(parsed: _ParsedStep) -> float | None:
         raise parsed.refuse(f"'{' '.join(words)}' goes nowhere", "Give two different sides.")
     found = float(GRID_ANGLES[(x, y)])
     if axis is not None and (found - axis) % 180.0:
-        said = f"'{parsed.found['axis'][1]}' and '{' '.join(words)}'"
-        raise parsed.refuse(f"{said} contradict each other", "Give one direction.")
+        raise parsed.contradict(parsed.found["axis"][1], " ".join(words))
     return found
 
 
@@ -484,14 +481,9 @@ def _find_axis_sign(parsed: _ParsedStep, words: list[str], axis: int) -> int:
         source, target = target[:1], target[1:]
     for group in (source, target):
         if len({sign for sign, _ in group}) > 1:
-            raise parsed.refuse(f"'{group[0][1]}' and '{group[1][1]}' contradict each other", "Give one direction.")
-    lonely = (
-        source
-        if not target
-        else target
-        if not source and any(word in _SIDES for word in words[: (aims or [0])[0]])
-        else []
-    )
+            raise parsed.contradict(group[0][1], group[1][1])
+    starts_at_side = any(word in _SIDES for word in words[: (aims or [0])[0]])
+    lonely = source if not target else target if not source and starts_at_side else []
     if lonely and aims:
         raise parsed.refuse(f"'{lonely[0][1]}' has no other side", "Name both corners: top left to bottom right.")
     if source and target and source[0][0] == target[0][0]:

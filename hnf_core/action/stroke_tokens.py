@@ -432,14 +432,10 @@ def _check_sentence(words: str, tokens: Sequence[Token]) -> None:
     for token, following in itertools.pairwise([*tokens, Token("")]):
         if reason := token.get("refused"):
             raise make_error(words, f"'{token.text}': {reason}", "Say a motion: stroke left to right, tap twice.")
-        adjective = {"force", "speed", "size", "kind"} & set(dict(token.meaning)) and token.text not in (
-            "press",
-            "tap",
-            "feel",
-        )
-        describes = (
-            following.get("surface") and (adjective or token.text.endswith("ed")) and not token.text.endswith("ly")
-        )
+        levels = {"force", "speed", "size", "kind"} & set(dict(token.meaning))
+        adjective = levels and token.text not in ("press", "tap", "feel")
+        described = (adjective or token.text.endswith("ed")) and not token.text.endswith("ly")
+        describes = following.get("surface") and described
         if describes or (surfaces and token.get("is") and following.get("kind") and not following.text.endswith("ed")):
             said = f"'{token.text} {following.text}' says how it is, not how it is touched"
             raise make_error(words, said, "Say: press the leather softly, rub in circles.")
