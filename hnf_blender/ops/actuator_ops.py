@@ -24,7 +24,7 @@ from ..bridge.scene.object_size import get_metres_per_unit
 from ..props.scene_settings import get_actuator_profile
 from ..state.interface import redraw_tab
 from ..translations import tr
-from .context import DEFAULT_PROBE, fail_poll, format_error, resolve_probe
+from .context import DEFAULT_PROBE, fail_poll, format_error, report_errors, resolve_probe
 
 if TYPE_CHECKING:
     from ..state.status_tracker import TokenValidity
@@ -77,14 +77,11 @@ class HNF_OT_output_other(bpy.types.Operator):  # type: ignore[misc]
         kind = context.window_manager.invoke_props_dialog(self, width=360)
         return set(kind)
 
+    @report_errors("WARNING")
     def execute(self, _context: Any) -> set[str]:
         from hnf_core.actuators.stream_targets import parse_target
 
-        try:
-            target = parse_target(str(self.target)).text
-        except HnfError as error:
-            self.report({"WARNING"}, format_error(error))
-            return {"CANCELLED"}
+        target = parse_target(str(self.target)).text
         return set(bpy.ops.hnf.output_choose(target=target))
 
 
@@ -93,14 +90,11 @@ class HNF_OT_actuator_find(bpy.types.Operator):  # type: ignore[misc]
     bl_label = "Look for Devices"
     bl_description = "List the serial ports and sound outputs of this machine, in a process of its own"
 
+    @report_errors("WARNING")
     def execute(self, _context: Any) -> set[str]:
         from ..actuator.player_process import DEVICE_SCANNER
 
-        try:
-            DEVICE_SCANNER.start()
-        except HnfError as error:
-            self.report({"WARNING"}, format_error(error))
-            return {"CANCELLED"}
+        DEVICE_SCANNER.start()
         redraw_tab()
         return {"FINISHED"}
 
@@ -114,17 +108,14 @@ class HNF_OT_actuator_test(bpy.types.Operator):  # type: ignore[misc]
     def poll(cls, context: Any) -> bool:
         return poll_actuator(cls, context)
 
+    @report_errors("WARNING")
     def execute(self, context: Any) -> set[str]:
         from ..actuator.sound import make_test_sweep
         from ..preview import controller
         from ..preview.preview_state import PREVIEW
 
         PREVIEW.sounding = PREVIEW.play_when_ready = ""
-        try:
-            controller.PLAYER.play(make_test_sweep(get_actuator_profile(context.scene)))
-        except HnfError as error:
-            self.report({"WARNING"}, format_error(error))
-            return {"CANCELLED"}
+        controller.PLAYER.play(make_test_sweep(get_actuator_profile(context.scene)))
         redraw_tab()  # The panel shows what became of it: the device is opened in another process.
         return {"FINISHED"}
 

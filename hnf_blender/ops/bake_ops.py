@@ -15,7 +15,7 @@ from ..state.interface import redraw_tab
 from ..state.labels import format_job, format_time_left
 from ..state.session_state import STATE, JobStatus, LastJob
 from ..translations import tr
-from .context import fail_poll
+from .context import fail_poll, report_errors
 from .modal_job import ModalJob, poll_no_job
 
 
@@ -28,14 +28,11 @@ class HNF_OT_plan(bpy.types.Operator):  # type: ignore[misc]
     def poll(cls, context: Any) -> bool:
         return _poll_strokes(cls, context)
 
+    @report_errors(text=str)
     def execute(self, context: Any) -> set[str]:
         from ..jobs.baked_data import make_plan
 
-        try:
-            STATE.plan = make_plan(context.scene, context.view_layer)
-        except HnfError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        STATE.plan = make_plan(context.scene, context.view_layer)
         redraw_tab()
         return {"FINISHED"}
 

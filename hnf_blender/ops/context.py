@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 from hnf_core.errors import HnfError
@@ -69,3 +71,23 @@ def format_error(error: HnfError) -> str:
     """Format an error's problem, location and remedy for Blender's report."""
     text = str(error)
     return text[:1].upper() + text[1:]
+
+
+Execute = Callable[[Any, Any], set[str]]
+
+
+def report_errors(level: str = "ERROR", text: Callable[[HnfError], str] = format_error) -> Callable[[Execute], Execute]:
+    """Decorate an operator's execute: an HnfError is reported at a level, and the operator is cancelled."""
+
+    def decorate(execute: Execute) -> Execute:
+        @wraps(execute)
+        def run(self: Any, context: Any) -> set[str]:
+            try:
+                return execute(self, context)
+            except HnfError as error:
+                self.report({level}, text(error))
+                return {"CANCELLED"}
+
+        return run
+
+    return decorate

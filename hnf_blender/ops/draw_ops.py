@@ -14,7 +14,7 @@ from hnf_core.units import m_to_mm, mm_to_m
 from ..bridge.scene.object_size import get_metres_per_unit
 from ..props.stroke_settings import FORCE_MAX_N
 from ..translations import tr
-from .context import DEFAULT_PROBE, fail_poll, format_error, make_active_and_visible, resolve_probe
+from .context import DEFAULT_PROBE, fail_poll, format_error, make_active_and_visible, report_errors, resolve_probe
 
 PROBE_ITEMS = [
     (DEFAULT_PROBE, "Default", "The default probe set in the preferences"),
@@ -117,12 +117,9 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
         has_pressure = any(sample.pressure != 1.0 for sample in self.stroke)
         draw_style(layout, self, pen=has_pressure or not self.stroke, mouse=not has_pressure)
 
+    @report_errors()
     def execute(self, context: Any) -> set[str]:
-        try:
-            message = self._make_stroke(context)
-        except HnfError as error:
-            self.report({"ERROR"}, format_error(error))
-            return {"CANCELLED"}
+        message = self._make_stroke(context)
         self.report({"INFO"}, message)
         return {"FINISHED"}
 

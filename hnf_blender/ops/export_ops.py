@@ -11,7 +11,7 @@ from hnf_core.errors import HnfError
 from ..props.scene_settings import FORMAT_ITEMS, get_active_stroke, has_strokes, list_strokes
 from ..state.interface import redraw_tab
 from ..translations import tr
-from .context import fail_poll
+from .context import fail_poll, report_errors
 from .preview_ops import poll_playable
 from .stroke_ops import UNDOABLE
 
@@ -37,6 +37,7 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # bpy has no typ
             return fail_poll(cls, "This scene has no stroke to export")
         return True
 
+    @report_errors(text=str)
     def execute(self, context: Any) -> set[str]:
         from ..preview.export_stroke import describe_loss, export_stroke, get_export_folder
         from ..preview.preview_state import PREVIEW
@@ -50,11 +51,7 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # bpy has no typ
             return {"CANCELLED"}
         format_name = self.format if self.properties.is_property_set("format") else context.scene.hnf.export_format
         written, refused = [], []
-        try:
-            get_export_folder(context.scene)
-        except HnfError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        get_export_folder(context.scene)
         for obj in strokes:
             try:
                 written.append(export_stroke(obj, context, format_name))
@@ -92,14 +89,11 @@ class HNF_OT_export_action(bpy.types.Operator):  # type: ignore[misc]
             return fail_poll(cls, "This scene has no stroke to export")
         return True
 
+    @report_errors(text=str)
     def execute(self, context: Any) -> set[str]:
         from ..preview.export_stroke import export_action
 
-        try:
-            path = export_action(get_active_stroke(context), context)
-        except HnfError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        path = export_action(get_active_stroke(context), context)
         template = tr("{count} written to {folder}: {names}")
         self.report({"INFO"}, template.format(count=1, folder=path.parent, names=path.name))
         return {"FINISHED"}
@@ -138,14 +132,11 @@ class HNF_OT_add_to_sequencer(bpy.types.Operator):  # type: ignore[misc]
     def poll(cls, context: Any) -> bool:
         return poll_playable(cls, context)
 
+    @report_errors(text=str)
     def execute(self, context: Any) -> set[str]:
         from ..preview.export_stroke import add_strip
 
-        try:
-            strip = add_strip(get_active_stroke(context), context)
-        except HnfError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        strip = add_strip(get_active_stroke(context), context)
         template = tr("'{name}' in the sequencer, channel {channel}")
         self.report({"INFO"}, template.format(name=strip.name, channel=strip.channel))
         return {"FINISHED"}
@@ -166,16 +157,13 @@ class HNF_OT_add_speaker(bpy.types.Operator):  # type: ignore[misc]
             return fail_poll(cls, "Speakers are added in Object Mode: choose it in the header")
         return poll_playable(cls, context)
 
+    @report_errors(text=str)
     def execute(self, context: Any) -> set[str]:
         from ..preview.export_stroke import add_stroke_speaker
 
         stroke = get_active_stroke(context)
         name = stroke.name
-        try:
-            speaker = add_stroke_speaker(stroke, context)
-        except HnfError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        speaker = add_stroke_speaker(stroke, context)
         self.report({"INFO"}, tr("'{speaker}' sounds like '{name}'").format(speaker=speaker.name, name=name))
         return {"FINISHED"}
 

@@ -14,7 +14,7 @@ from ..bridge.scene.object_size import get_metres_per_unit
 from ..props.scene_settings import find_index, get_active_stroke
 from ..props.stroke_settings import FORCE_MAX_N
 from ..translations import tr
-from .context import fail_poll, format_error
+from .context import fail_poll, format_error, report_errors
 from .stroke_ops import UNDOABLE, poll_active_stroke, poll_editable_stroke, require_local
 
 GRAPH_AREA_SHARE = 0.38
@@ -193,15 +193,12 @@ class HNF_OT_stroke_move(bpy.types.Operator):  # type: ignore[misc]
         self.frame = get_active_stroke(context).hnf_stroke.start
         return set(context.window_manager.invoke_props_dialog(self))
 
+    @report_errors()
     def execute(self, context: Any) -> set[str]:
         from ..bridge.stroke.edit_keyframes import set_start_frame
 
         stroke = get_active_stroke(context)
-        try:
-            set_start_frame(stroke, float(self.frame))
-        except HnfError as error:
-            self.report({"ERROR"}, format_error(error))
-            return {"CANCELLED"}
+        set_start_frame(stroke, float(self.frame))
         template = tr("{name} begins at frame {frame}")
         self.report({"INFO"}, template.format(name=stroke.name, frame=f"{self.frame:g}"))
         return {"FINISHED"}
@@ -221,15 +218,12 @@ class HNF_OT_stroke_constant(bpy.types.Operator):  # type: ignore[misc]
     def poll(cls, context: Any) -> bool:
         return poll_editable_stroke(cls, context)
 
+    @report_errors()
     def execute(self, context: Any) -> set[str]:
         from ..bridge.stroke.edit_keyframes import make_speed_constant
 
         stroke, scene = get_active_stroke(context), context.scene
-        try:
-            make_speed_constant(stroke, scene, get_metres_per_unit(scene), float(self.speed_mm_s))
-        except HnfError as error:
-            self.report({"ERROR"}, format_error(error))
-            return {"CANCELLED"}
+        make_speed_constant(stroke, scene, get_metres_per_unit(scene), float(self.speed_mm_s))
         return {"FINISHED"}
 
 

@@ -18,7 +18,7 @@ from ..props.scene_settings import get_active_stroke
 from ..state.labels import format_time_left
 from ..state.session_state import STATE, JobStatus, LastJob
 from ..translations import tr
-from .context import fail_poll, get_surface_in_layer
+from .context import fail_poll, get_surface_in_layer, report_errors
 from .modal_job import ModalJob, poll_no_job
 from .stroke_ops import UNDOABLE, poll_editable_stroke
 
@@ -92,6 +92,7 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # bpy has no ty
             return fail_poll(cls, "This object has no material to suggest for")
         return True
 
+    @report_errors(text=str)
     def execute(self, context: Any) -> set[str]:
         from hnf_core.material.library import load_library
         from hnf_core.material.ranking import rank
@@ -101,20 +102,16 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # bpy has no ty
         from ..bridge.shader.images import list_texture_names
 
         obj = find_material_object(context)
-        try:
-            for material in list_materials(obj):
-                relief = STATE.reliefs.get(material.name_full)
-                STATE.suggestions[material.name_full] = rank(
-                    load_library(),
-                    read_stated_appearance(material),
-                    [material.name, obj.name, obj.data.name],
-                    image_names=list_texture_names(material),
-                    token=None if relief is None else relief.token,
-                    route=Route.PRIOR if relief is None else relief.route,
-                )
-        except HnfError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        for material in list_materials(obj):
+            relief = STATE.reliefs.get(material.name_full)
+            STATE.suggestions[material.name_full] = rank(
+                load_library(),
+                read_stated_appearance(material),
+                [material.name, obj.name, obj.data.name],
+                image_names=list_texture_names(material),
+                token=None if relief is None else relief.token,
+                route=Route.PRIOR if relief is None else relief.route,
+            )
         return {"FINISHED"}
 
 

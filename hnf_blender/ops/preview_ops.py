@@ -14,7 +14,7 @@ from ..state.interface import redraw_tab
 from ..state.session_state import STATE
 from ..touch.report import Freshness
 from ..translations import tr
-from .context import fail_poll
+from .context import fail_poll, report_errors
 from .stroke_ops import poll_active_stroke
 
 NOT_BAKED_REASON = "Not baked yet: press Bake in the Touch tab"
@@ -48,6 +48,7 @@ class HNF_OT_preview_play(bpy.types.Operator):  # type: ignore[misc]  # bpy has 
     def poll(cls, context: Any) -> bool:
         return poll_playable(cls, context)
 
+    @report_errors("WARNING", text=str)
     def execute(self, context: Any) -> set[str]:
         from ..preview import controller
 
@@ -60,11 +61,7 @@ class HNF_OT_preview_play(bpy.types.Operator):  # type: ignore[misc]  # bpy has 
         if result is None and stroke.name not in PREVIEW.showing_reference:
             PREVIEW.play_when_ready = stroke.name
             return {"FINISHED"}
-        try:
-            controller.play(stroke.name, context.scene)
-        except HnfError as error:
-            self.report({"WARNING"}, str(error))
-            return {"CANCELLED"}
+        controller.play(stroke.name, context.scene)
         controller.update_facts(stroke.name, context.scene)
         redraw_tab()
         return {"FINISHED"}
@@ -99,14 +96,11 @@ class HNF_OT_preview_pause(bpy.types.Operator):  # type: ignore[misc]
             return fail_poll(cls, "Nothing plays")
         return True
 
+    @report_errors("WARNING", text=str)
     def execute(self, context: Any) -> set[str]:
         from ..preview import controller
 
-        try:
-            controller.toggle_pause()
-        except HnfError as error:
-            self.report({"WARNING"}, str(error))
-            return {"CANCELLED"}
+        controller.toggle_pause()
         controller.update_facts(PREVIEW.sounding, context.scene)
         redraw_tab()
         return {"FINISHED"}

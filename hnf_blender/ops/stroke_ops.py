@@ -22,6 +22,7 @@ from .context import (
     get_surface_in_layer,
     make_active,
     make_active_and_visible,
+    report_errors,
     resolve_probe,
 )
 from .draw_ops import PROBE_ITEMS
@@ -265,17 +266,14 @@ class StrokeOperator:
             return fail_poll(cls, "There is no stroke yet: draw one with the stroke tool")
         return True
 
+    @report_errors()
     def execute(self, context: Any) -> set[str]:
         named = find_stroke(context.scene, self.name) if self.name else None  # type: ignore[attr-defined]
         stroke = get_active_stroke(context) if named is None else named
         if stroke is None:
             self.report({"ERROR"}, tr(NOT_SELECTED_REASON))  # type: ignore[attr-defined]
             return {"CANCELLED"}
-        try:
-            self.report({"INFO"}, self.work(context, stroke))  # type: ignore[attr-defined]
-        except HnfError as error:
-            self.report({"ERROR"}, format_error(error))  # type: ignore[attr-defined]
-            return {"CANCELLED"}
+        self.report({"INFO"}, self.work(context, stroke))  # type: ignore[attr-defined]
         return {"FINISHED"}
 
 

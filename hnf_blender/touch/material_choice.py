@@ -20,14 +20,7 @@ from hnf_core.material.encoder_registry import Encoder
 from hnf_core.material.fuse import HEIGHT_LIMITS_M, FusedToken, compute_height_gain, is_too_high, merge_tokens
 from hnf_core.material.hnf_file import MaterialFile, with_library_defaults
 from hnf_core.material.library import LibraryMaterial, get_material, load_library
-from hnf_core.material.ranking import (
-    ENOUGH_PROBABILITY,
-    PICTURE_ODDS,
-    Suggestion,
-    expect_material,
-    mix_rankings,
-    rank,
-)
+from hnf_core.material.ranking import ENOUGH_PROBABILITY, PICTURE_ODDS, Suggestion, expect_material, mix_rankings, rank
 from hnf_core.material.token import Token
 from hnf_core.tactile.tactile_map import Route
 from hnf_core.units import m_to_mm

@@ -31,13 +31,7 @@ from ..material.contact_model import (
     with_defaults,
 )
 from ..material.probe import BodyMode, Probe, get_probe
-from .contact_dynamics import (
-    DRIVE_COUNT,
-    ContactMotion,
-    Physics,
-    SmoothedMaps,
-    integrate_contact,
-)
+from .contact_dynamics import DRIVE_COUNT, ContactMotion, Physics, SmoothedMaps, integrate_contact
 from .surface_recipe import Noise, SurfaceRecipe, height_map
 
 Float = NDArray[np.float64]

@@ -48,13 +48,7 @@ from ..shader.aov_taps import (
     measure_image_step,
 )
 from ..shader.bump_displacement import MicroGeometry, Relief, Slopes, judge_normal_colour
-from ..shader.closures import (
-    Layers,
-    average_appearance,
-    list_closures,
-    mix_closures,
-    read_shading_value,
-)
+from ..shader.closures import Layers, average_appearance, list_closures, mix_closures, read_shading_value
 from .cycles import (
     FILTER_REACH,
     PLAIN_SAMPLING,
@@ -269,7 +263,8 @@ class CloseUpRenderer:
             self._scene = self._make_scene()
         scene, first_side, self._zoomed = self._scene, self._first_pass_pixels, None
         slot = scene.slots[patch.slot]
-        side = self._pixels if _has_detail(slot) else min(self._pixels, APPEARANCE_PIXELS)
+        has_detail = slot.colour is not None or get_relief_sources(slot)
+        side = self._pixels if has_detail else min(self._pixels, APPEARANCE_PIXELS)
         is_first_look = first_side is not None and first_side < side and is_image_based(slot)
         if is_first_look and first_side is not None:
             side = first_side
@@ -335,7 +330,10 @@ class CloseUpRenderer:
         """
         slot = scene.slots[patch.slot]
         if not image_based:
-            return self._look_closely(scene, patch, side) if _is_procedural(slot) else PLAIN_SAMPLING
+            # A relief may be finer than any image of it.
+            if any(source.procedural or not source.texel_limited for source in get_relief_sources(slot)):
+                return self._look_closely(scene, patch, side)
+            return PLAIN_SAMPLING
         if first_pass is None or slot.colour is not None:
             return PLAIN_SAMPLING
         rendered = first_pass.rendered
@@ -416,16 +414,6 @@ def _describe_bad_faces(surface: Surface, patches: Sequence[Patch]) -> tuple[str
             "faces that are too many."
         )
     return tuple(notes)
-
-
-def _is_procedural(slot: SlotReading) -> bool:
-    """Return True if a slot's relief may be finer than any image of it."""
-    return any(source.procedural or not source.texel_limited for source in get_relief_sources(slot))
-
-
-def _has_detail(slot: SlotReading) -> bool:
-    """Return True if a material slot has a relief (bump, displacement, normal map) or a varying color."""
-    return slot.colour is not None or bool(get_relief_sources(slot))
 
 
 @dataclass(frozen=True)
