@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 from hnf_blender import cli
 from hnf_blender.touch import run as touch_run
 from hnf_blender.touch import synthesise as touch_synthesise
-from hnf_blender.touch.bake_patches import SENSOR
 from hnf_blender.touch.patch_cache import PatchRecord
 from hnf_blender.touch.session import StrokeJob, gather_jobs
 from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME, BakedStroke, make_stroke_input
@@ -123,7 +122,7 @@ def _change_record(record: PatchRecord, change: str) -> tuple[PatchRecord, Token
     height = RELIEF_CHANGES[change](record.height, record.metres_per_pixel)
     mask = np.ascontiguousarray(np.rot90(record.mask)) if "turned" in change else record.mask
     tactile = tactile_map_from_height(
-        height, mask, record.metres_per_pixel, record.resolved_wavelength_m, sensor=SENSOR,
+        height, mask, record.metres_per_pixel, record.resolved_wavelength_m, sensor="gelsight",
         height_source=record.height_source,
     )  # fmt: skip
     token = describe(tactile)
