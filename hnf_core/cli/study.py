@@ -236,7 +236,7 @@ def _run_session(arguments: argparse.Namespace) -> int:
     from ..actuators.stream_targets import FileTarget, parse_target
     from ..study.plan import load_plan
     from ..study.presentation import Keyboard, Output, find_max_gain_db, read_stimuli, run_session
-    from ..study.responses import check_participant
+    from ..study.results import check_participant
 
     participant, target = check_participant(arguments.participant), parse_target(arguments.to)
     if isinstance(target, FileTarget):
@@ -263,7 +263,7 @@ def _run_page(arguments: argparse.Namespace) -> int:
     """Run `hnf study page`; return the exit code. Raises HnfError."""
     from ..study.plan import load_plan
     from ..study.presentation import write_page
-    from ..study.responses import RESPONSES_NAME
+    from ..study.results import RESPONSES_NAME
 
     full_scale = write_page(arguments.out, arguments.folder, load_plan(arguments.folder), arguments.full_scale)
     print(
@@ -276,8 +276,7 @@ def _run_page(arguments: argparse.Namespace) -> int:
 def _run_evaluate(arguments: argparse.Namespace) -> int:
     """Run `hnf study evaluate`; return the exit code. Raises HnfError."""
     from ..study.plan import load_key, load_plan
-    from ..study.responses import read_all_responses
-    from ..study.results import evaluate_study, format_results
+    from ..study.results import evaluate_study, format_results, read_all_responses
 
     plan = load_plan(arguments.folder)
     key = load_key(arguments.folder, plan, arguments.key)

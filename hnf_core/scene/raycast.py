@@ -178,29 +178,6 @@ def _cast_rows(caster: RayCaster, mesh: TriangleMesh, camera: Camera, rows: slic
     )
 
 
-def find_closest_points(corners: Float, triangle: Int, points: Float) -> ClosestPoints:
-    """Return the point of one given triangle closest to each point.
-
-    Parameters
-    ----------
-    corners : ndarray of float64, shape (T, 3, 3)
-        Corner positions of all triangles [m].
-    triangle : ndarray of int32, shape (n,)
-        Index of the triangle to use for each point.
-    points : ndarray of float64, shape (n, 3)
-        The points [m].
-
-    Returns
-    -------
-    ClosestPoints
-        Closest points and distances.
-    """
-    chosen = corners[triangle]
-    weights = find_closest_barycentric(chosen, points)
-    position = np.einsum("nc,ncx->nx", weights, chosen)
-    return ClosestPoints(triangle, weights, position, np.linalg.norm(position - points, axis=-1))
-
-
 def find_closest_barycentric(corners: Float, points: Float) -> Float:
     """Return barycentric weights (n, 3) of the point of each triangle (n, 3, 3) closest to the point (n, 3) of its row.
 

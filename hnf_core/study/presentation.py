@@ -31,7 +31,7 @@ from ..errors import DeviceError, FileError, UsageError
 from ..export.wav import LISTEN_PEAK_DBFS, read_wav
 from ..files import write_text
 from .plan import Plan, Trial, find_stimulus
-from .responses import (
+from .results import (
     COLUMNS,
     FIRST,
     SECOND,

@@ -18,7 +18,6 @@ from hnf_blender.bridge.scene.meshes import (
     read_surface,
 )
 from hnf_core.errors import SceneError
-from reference.geometry import ReferenceGeometry
 
 
 def depsgraph():
@@ -206,14 +205,6 @@ def test_blenders_tree_and_embree_hit_the_same():
     assert (ours.triangle == embree.triangle)[inner].all()
     same = ours.triangle == embree.triangle
     np.testing.assert_array_equal(ours.distance[same], embree.distance[same])
-
-
-def test_blenders_nearest_points_are_the_nearest():
-    mesh = surface(add_sphere(segments=12, rings=8)).mesh
-    points = np.random.default_rng(0).uniform(-0.08, 0.08, (60, 3))
-    fast, plain = BlenderGeometry(mesh).closest_points(points), ReferenceGeometry(mesh).closest_points(points)
-    np.testing.assert_allclose(fast.distance, plain.distance, atol=1e-8)
-    np.testing.assert_allclose(fast.position, plain.position, atol=1e-6)
 
 
 def test_the_evaluated_frame_is_the_depsgraphs():

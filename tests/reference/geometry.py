@@ -12,7 +12,6 @@ from hnf_core.scene.raycast import (
     as_ray_arrays,
     compute_triangle_planes,
     find_closest_barycentric,
-    find_closest_points,
     intersect_planes,
     refine_hits,
 )
@@ -43,4 +42,7 @@ class ReferenceGeometry:
             weights = find_closest_barycentric(self._corners, np.broadcast_to(point, (len(self._corners), 3)))
             position = np.einsum("tc,tcx->tx", weights, self._corners)
             chosen[index] = np.argmin(np.sum((position - point) ** 2, axis=-1))
-        return find_closest_points(self._corners, chosen, points)
+        corners = self._corners[chosen]
+        weights = find_closest_barycentric(corners, points)
+        position = np.einsum("nc,ncx->nx", weights, corners)
+        return ClosestPoints(chosen, weights, position, np.linalg.norm(position - points, axis=-1))

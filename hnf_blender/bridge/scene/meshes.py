@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from hnf_core.errors import SceneError
 from hnf_core.progress import add_work
 from hnf_core.scene.mesh import TriangleMesh, compute_float32_frame, has_area
-from hnf_core.scene.raycast import ClosestPoints, Hits, RayCaster, find_closest_points, make_embree_caster, refine_hits
+from hnf_core.scene.raycast import Hits, RayCaster, make_embree_caster, refine_hits
 
 from ..shader.images import explain_missing_image
 
@@ -413,10 +413,9 @@ def _drop_rotation(linear: Float) -> Float:
 
 
 class BlenderGeometry:
-    """Ray casts and nearest points on a mesh by Blender's BVH tree.
+    """Ray casts on a mesh by Blender's BVH tree, slower than Embree for many rays.
 
-    The float32 tree selects the triangle; distances and barycentric coordinates are computed in float64. Slower than
-    Embree for many rays, but the only one with nearest points.
+    The float32 tree selects the triangle; distances and barycentric coordinates are computed in float64.
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:
@@ -425,45 +424,34 @@ class BlenderGeometry:
         self._corners = mesh.corner_positions()
         self._frame = compute_float32_frame(self._corners)
         vertices = self._frame.to_frame(mesh.vertices)
-        self._tree = BVHTree.FromPolygons(vertices.tolist(), mesh.triangles.tolist(), all_triangles=True)
-        self._ray_tree: Any = None
         self._ray_triangle = np.flatnonzero(has_area(self._corners)).astype(np.int32)
-        if len(self._ray_triangle) < len(mesh.triangles):
-            self._ray_tree = BVHTree.FromPolygons(
-                vertices.tolist(), mesh.triangles[self._ray_triangle].tolist(), all_triangles=True
-            )
+        triangles = mesh.triangles[self._ray_triangle]
+        self._tree = BVHTree.FromPolygons(vertices.tolist(), triangles.tolist(), all_triangles=True)
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Cast rays; origins and directions are (n, 3) in the mesh's frame."""
         origins = np.asarray(origins, dtype=np.float64).reshape(-1, 3)
         directions = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
         triangle = np.full(len(origins), -1, dtype=np.int32)
-        tree = self._ray_tree or self._tree
         for index, (origin, direction) in enumerate(
             zip(self._frame.to_frame(origins).tolist(), directions.tolist(), strict=True)
         ):
-            hit = tree.ray_cast(origin, direction)[2]
+            hit = self._tree.ray_cast(origin, direction)[2]
             if hit is not None:
                 triangle[index] = self._ray_triangle[hit]
         return refine_hits(self._corners, triangle, origins, directions)
 
-    def closest_points(self, points: ArrayLike) -> ClosestPoints:
-        """Return the closest points on the mesh to points (n, 3)."""
-        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        nearest = [self._tree.find_nearest(point)[2] for point in self._frame.to_frame(points).tolist()]
-        return find_closest_points(self._corners, np.array(nearest, dtype=np.int32).reshape(-1), points)
 
-
-def make_ray_caster(mesh: TriangleMesh, fallback: BlenderGeometry | None = None) -> RayCaster:
+def make_ray_caster(mesh: TriangleMesh) -> RayCaster:
     """Make an Embree ray caster, or one of Blender's BVH if Embree is not installed (Linux on ARM).
 
-    Both give equal results; Blender's is ten times slower. `fallback` is used instead of building a new BVH.
+    Both give equal results; Blender's is ten times slower.
     """
     add_work("caster_triangles", len(mesh.triangles))
     try:
         return make_embree_caster(mesh)
     except ImportError:
-        return fallback or BlenderGeometry(mesh)
+        return BlenderGeometry(mesh)
 
 
 def _read_triangles(mesh: Any, stretch: Float, slots: int) -> TriangleMesh:

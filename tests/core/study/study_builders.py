@@ -10,7 +10,7 @@ import numpy as np
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
 from hnf_core.study.plan import KeyEntry, Plan, Trial, compare_methods, load_key, make_study, order_trials
-from hnf_core.study.responses import Response, format_responses, get_responses_path
+from hnf_core.study.results import Response, format_responses, get_responses_path
 
 RATE_HZ = 10_000.0
 Listener = Callable[[Trial, np.random.Generator], bool]

@@ -19,8 +19,7 @@ from hnf_core.errors import HnfError
 from hnf_core.export.wav import read_wav
 from hnf_core.study.plan import compare_files, compare_methods, find_stimulus, load_key, make_study, order_trials
 from hnf_core.study.presentation import write_page
-from hnf_core.study.responses import read_responses
-from hnf_core.study.results import evaluate_study
+from hnf_core.study.results import evaluate_study, read_responses
 
 READY = "return document.getElementById('again').disabled === false && !document.getElementById('trial').hidden"
 MASKED = "return document.getElementById('trial').hidden"

@@ -12,15 +12,16 @@ from study_builders import bradley_terry_listener, build_study, respond, store, 
 
 from hnf_core.errors import HnfError
 from hnf_core.study.plan import compare_files, load_key, make_study
-from hnf_core.study.responses import (
+from hnf_core.study.results import (
     append_response,
     check_participant,
+    evaluate_study,
     find_open_trials,
+    format_results,
     get_responses_path,
     read_all_responses,
     read_responses,
 )
-from hnf_core.study.results import evaluate_study, format_results
 
 SCORES = {"alpha": 1.0, "beta": 0.0, "gamma": -1.0}
 
