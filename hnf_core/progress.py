@@ -148,14 +148,6 @@ WorkKind = Literal[
 """
 
 
-def _make_lists() -> dict[WorkKind, list[int]]:
-    return {kind: [] for kind in get_args(WorkKind)}
-
-
-def _make_item_lists() -> dict[WorkKind, list[str | int]]:
-    return {kind: [] for kind in get_args(WorkKind)}
-
-
 @dataclass(frozen=True, eq=False)
 class WorkCount:
     """Work done while a `count_work` context lasts; the lists grow as it is done.
@@ -168,8 +160,8 @@ class WorkCount:
         Name or number of the thing that each of these portions was done on; "" where there is none.
     """
 
-    amounts: dict[WorkKind, list[int]] = field(default_factory=_make_lists)
-    items: dict[WorkKind, list[str | int]] = field(default_factory=_make_item_lists)
+    amounts: dict[WorkKind, list[int]] = field(default_factory=lambda: {kind: [] for kind in get_args(WorkKind)})
+    items: dict[WorkKind, list[str | int]] = field(default_factory=lambda: {kind: [] for kind in get_args(WorkKind)})
 
     def total(self, kind: WorkKind) -> int:
         """Return the amount of all work of a kind. Raises KeyError if there is no such kind."""

@@ -456,7 +456,7 @@ class Plan:
             lines.append(
                 f"  {RERUN_MESSAGES[self.again]}: the baked .blend is written anew{self._format_plot_count()}."
             )
-        lines += ["Skipped:", *_format_skipped(self.skipped)] if self.skipped else []
+        lines += ["Skipped:", *(f"  {entry.what}: {entry.why}" for entry in self.skipped)] if self.skipped else []
         lines += ["Problems:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []
         lines += ["Notes:", *(f"  {add_option_hint(note)}" for note in self.notes)] if self.notes else []
         return "\n".join(lines) or "Nothing to do."
@@ -468,10 +468,6 @@ def _format_route(slot: SlotPlan, predictions: int) -> str:
         cost = f", at most {pluralize(predictions, 'close-up')}, {predictions * PREDICTION_SECONDS:.1f} s"
     unless = f"; prior if {slot.unless}" if slot.unless else ""
     return f"    {slot.material or 'no material'}: {slot.route.value} ({slot.why}{unless}){cost}"
-
-
-def _format_skipped(skipped: Sequence[Skipped]) -> list[str]:
-    return [f"  {entry.what}: {entry.why}" for entry in skipped]
 
 
 TOO_COARSE_NOTE = f"its picture shows no waves below {MAX_READABLE_WAVELENGTH_M * 1e3:g} mm, or one colour"

@@ -126,6 +126,13 @@ class PatchRecord:
         return Route.PRIOR if self.predicted is None else Route.PREDICTED
 
 
+_SCALARS: dict[str, Any] = {
+    **dict.fromkeys(("metres_per_pixel", "resolved_wavelength_m", "height_peak_to_peak_m"), float),
+    **dict.fromkeys(("height_source", "encoder", "sensor"), str),
+}
+"""Fields of a record that are numbers or texts, by name."""
+
+
 def load_patch(folder: Path, key: str) -> PatchRecord | None:
     """Load the record of a patch by its cache key, its arrays read-only; None if it is missing or damaged.
 
@@ -154,19 +161,14 @@ def _read_patch(path: Path, _written_ns: int, _bytes: int) -> PatchRecord | None
         return PatchRecord(
             height=_set_read_only(data["height"]) if measured else None,
             mask=_set_read_only(data["mask"]),
-            metres_per_pixel=float(data["metres_per_pixel"]),
-            resolved_wavelength_m=float(data["resolved_wavelength_m"]),
-            height_source=str(data["height_source"]),
-            height_peak_to_peak_m=float(data["height_peak_to_peak_m"]),
             token=_set_read_only(data["token"]) if measured else None,
             known=_set_read_only(data["known"]) if measured else None,
             appearance=_unpack_appearance(data["appearance"]),
             faces=_set_read_only(data["faces"]),
             notes=tuple(str(note) for note in data["notes"]),
             unlit=_unpack_unlit_image(data) if bool(data["pictured"]) else None,
-            encoder=str(data["encoder"]),
             mesh_bands=tuple(bool(is_mesh) for is_mesh in data["mesh_bands"]),
-            sensor=str(data["sensor"]),
+            **{name: kind(data[name]) for name, kind in _SCALARS.items()},
         )
 
 
@@ -184,19 +186,14 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
         "measured": np.array(record.height is not None),
         "height": empty if record.height is None else record.height,
         "mask": record.mask,
-        "metres_per_pixel": np.array(record.metres_per_pixel),
-        "resolved_wavelength_m": np.array(record.resolved_wavelength_m),
-        "height_source": np.array(record.height_source),
-        "height_peak_to_peak_m": np.array(record.height_peak_to_peak_m),
         "token": empty if record.token is None else record.token,
         "known": empty.astype(bool) if record.known is None else record.known,
         "appearance": _pack_appearance(record.appearance),
         "faces": record.faces,
         "notes": np.array(record.notes, dtype=np.str_),
         "pictured": np.array(record.unlit is not None),
-        "encoder": np.array(record.encoder),
         "mesh_bands": np.array(record.mesh_bands, dtype=np.bool_),
-        "sensor": np.array(record.sensor),
+        **{name: np.array(getattr(record, name)) for name in _SCALARS},
     }
     if record.unlit is not None:
         arrays |= {

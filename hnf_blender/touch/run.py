@@ -260,7 +260,7 @@ def touch_strokes(
             progress(state)
 
         def on_stroke(job: StrokeJob, baked: BakedStroke, start_stage: Callable[[str], None]) -> None:
-            key = _compute_plot_key(job, baked, views)
+            key = content_hash(job.name, views.hash_view(baked.contacts, baked.touched.surface, baked.touched.obj))
             if job.name not in fresh:
                 start_stage("synthesis")
                 report.strokes.append(_synthesise(session, job, baked, views, key, report))
@@ -380,10 +380,6 @@ def _render_view(job: StrokeJob, baked: BakedStroke, views: StrokeViews, report:
     for note in notes:
         report.add_warning(note)
     return view
-
-
-def _compute_plot_key(job: StrokeJob, baked: BakedStroke, views: StrokeViews) -> str:
-    return content_hash(job.name, views.hash_view(baked.contacts, baked.touched.surface, baked.touched.obj))
 
 
 @contextlib.contextmanager

@@ -469,7 +469,8 @@ def _settle(words: str, tokens: list[Token]) -> list[Token]:
         ):
             continue
         if token.text == "→":
-            says = [any(each.motion for each in itertools.takewhile(_is_no_arrow, some)) for some in (settled, rest)]
+            sides = (itertools.takewhile(lambda each: each.text != "→", some) for some in (settled, rest))
+            says = [any(each.motion for each in side) for side in sides]
             aims = following.get("direction") or {*LEVELS} & set(dict(following.meaning)) or before.measured or not rest
             token = Token("→", (("separator", "then"),) if all(says) else (("direction", "to" if aims else "right"),))
         if quantity:
@@ -483,10 +484,6 @@ def _settle(words: str, tokens: list[Token]) -> list[Token]:
             token = Token(token.text, (("marker", "length" if token.text == "long" else "across"),))
         settled.append(token)
     return settled
-
-
-def _is_no_arrow(token: Token) -> bool:
-    return token.text != "→"
 
 
 def _settle_count(words: str, token: Token, before: Token, rest: Sequence[Token]) -> Token:

@@ -104,7 +104,7 @@ def get_material(name: str) -> LibraryMaterial:
 
     Raises MaterialError with close matches for an unknown name.
     """
-    wanted = _normalise_name(name)
+    wanted = "-".join(name.lower().replace("_", " ").replace("-", " ").split())
     library = load_library()
     for material in library:
         if material.name == wanted:
@@ -113,10 +113,6 @@ def get_material(name: str) -> LibraryMaterial:
     close = list(dict.fromkeys(close_matches(wanted, [entry.name for entry in library]) + word_matches))[:5]
     remedy = f"Did you mean {', '.join(close)}?" if close else "List them all with: hnf materials"
     raise MaterialError(f"no library material is called {name!r}.", remedy=remedy)
-
-
-def _normalise_name(name: str) -> str:
-    return "-".join(name.lower().replace("_", " ").replace("-", " ").split())
 
 
 def _parse_material(entry: Mapping[str, Any]) -> LibraryMaterial:

@@ -119,13 +119,10 @@ def group_channels(channels: dict[str, NDArray[np.float32]]) -> dict[str, NDArra
     """Group channels named "<layer>.<pass>.<component>" to passes; components in the order x y z w, or r g b a."""
     passes: dict[str, dict[str, NDArray[np.float32]]] = {}
     for name, pixels in channels.items():
-        pass_name, _, component = name.rpartition(".")
-        passes.setdefault(_strip_layer(pass_name), {})[component] = np.asarray(pixels, dtype=np.float32)
+        prefix, _, component = name.rpartition(".")
+        pass_name = prefix.partition(".")[2] if "." in prefix else prefix
+        passes.setdefault(pass_name, {})[component] = np.asarray(pixels, dtype=np.float32)
     return {name: _stack_components(components) for name, components in passes.items()}
-
-
-def _strip_layer(name: str) -> str:
-    return name.partition(".")[2] if "." in name else name
 
 
 def _stack_components(components: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:

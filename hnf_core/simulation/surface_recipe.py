@@ -172,7 +172,8 @@ def height_map(
     rng = np.random.default_rng(seed)
     total = np.zeros((pixels, pixels))
     for noise in recipe.noise:
-        total += _scale_to_rms(_render_noise(noise, rng, pixels, size_m), noise.rms_m)
+        amplitude = np.sqrt(noise_power(noise, pixels, size_m))
+        total += _scale_to_rms(_filtered_noise(rng, amplitude, pixels), noise.rms_m)
     for lattice in recipe.lattices:
         total += _scale_to_rms(_render_lattice(lattice, rng, pixels, size_m), lattice.rms_m)
     for grains in recipe.grains:
@@ -217,10 +218,6 @@ def get_pitch(lattice: Lattice) -> float:
 def get_pitch_scatter(lattice: Lattice) -> float:
     """Return the RMS displacement [m] of a lattice along each axis."""
     return float(lattice.irregularity * TILE_SIZE_M / max(np.hypot(x, y) for x, y, *_ in lattice.waves))
-
-
-def _render_noise(noise: Noise, rng: np.random.Generator, pixels: int, size_m: float) -> Float:
-    return _filtered_noise(rng, np.sqrt(noise_power(noise, pixels, size_m)), pixels)
 
 
 def _render_lattice(lattice: Lattice, rng: np.random.Generator, pixels: int, size_m: float) -> Float:

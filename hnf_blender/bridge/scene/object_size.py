@@ -102,13 +102,9 @@ def describe_neighbours(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: f
     )
     boxes = np.round(np.concatenate([lows[nearby] - low, highs[nearby] - low], axis=1), 4) + 0.0
     return sorted(
-        f"{others[index].name} {_count_vertices(others[index], depsgraph)} {box.tolist()}"
+        f"{others[index].name} {len(others[index].evaluated_get(depsgraph).data.vertices)} {box.tolist()}"
         for index, box in zip(nearby, boxes, strict=True)
     )
-
-
-def _count_vertices(obj: Any, depsgraph: Any) -> int:
-    return len(obj.evaluated_get(depsgraph).data.vertices)
 
 
 def get_metres_per_unit(scene: Any, override: float | None = None) -> float:

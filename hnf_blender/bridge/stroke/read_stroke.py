@@ -82,16 +82,12 @@ def read_curve(obj: Any) -> PiecewiseBezier:
     _refuse_moved_points(obj, where)
     try:
         return require_single_spline(
-            [_read_spline(spline) for spline in obj.data.splines if _count_points(spline)], where=where
+            [_read_spline(spline) for spline in obj.data.splines if spline.bezier_points or spline.points], where=where
         )
     except HnfError as error:
         if error.where:
             raise
         raise StrokeError(error.what, where=where, remedy=error.remedy) from error
-
-
-def _count_points(spline: Any) -> int:
-    return len(spline.bezier_points) if spline.type == "BEZIER" else len(spline.points)
 
 
 def _read_spline(spline: Any) -> PiecewiseBezier:

@@ -207,7 +207,8 @@ def _project_chunk(splats: Splats, camera: Camera, low_pass: float, chunk: slice
         & np.isfinite(half_width * half_height * shear)
     )
     usable = np.flatnonzero(usable & _overlaps_image(camera, u, v, half_width, half_height))
-    box = _compute_box(camera, u[usable], v[usable], half_width[usable], half_height[usable])
+    edges = _compute_edges(camera, u[usable], v[usable], half_width[usable], half_height[usable])
+    box = [edge.astype(np.intp) for edge in edges]
     values = (z, u, v, var_y, shear, precision, inverse_std, cutoff, opacity[candidates], slope_x, slope_y)
     numbers: list[Any] = [component[usable] for component in (index, *values)]
     return Footprints(*numbers, *box)
@@ -308,10 +309,6 @@ def _gram_determinant(mx: list[Float], my: list[Float]) -> Float:
 def _overlaps_image(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> NDArray[np.bool_]:
     left, right, top, bottom = _compute_edges(camera, u, v, wide, high)
     return np.asarray((left < right) & (top < bottom))
-
-
-def _compute_box(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> list[Int]:
-    return [edge.astype(np.intp) for edge in _compute_edges(camera, u, v, wide, high)]
 
 
 def _compute_edges(camera: Camera, u: Float, v: Float, wide: Float, high: Float) -> tuple[Float, Float, Float, Float]:
