@@ -363,9 +363,8 @@ class _ParsedStep:
             excluded = kind in STILL or (kind == "wander" and verb == "line")
             if excluded or (not kind and verb != verbs[0][0]):
                 other = self.found["kind"][1] if excluded else verbs[0][1]
-                raise self.contradict(
-                    *sorted((other, text), key=self.words.lower().find), f"Give one {_NAMES['kind']}."
-                )
+                one, two = sorted((other, text), key=self.words.lower().find)
+                raise self.contradict(one, two, f"Give one {_NAMES['kind']}.")
         weak = {verb for verb, _ in self.verbs}
         verb = verbs[0][0] if verbs else "hold" if "hold" in weak else ""
         if kind:
