@@ -20,7 +20,8 @@ import numpy as np
 from hnf_core.errors import FileError, SceneError
 from hnf_core.progress import ProgressCallback, ignore_progress
 from hnf_core.scene.camera import Camera
-from hnf_core.scene.file_kind import check_gltf, describe_unread, identify, read_gltf_document, read_head
+from hnf_core.scene.file_kind import identify, read_head
+from hnf_core.scene.gltf_document import check_gltf, describe_unread, read_gltf_document
 from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, read_model_transforms
 from hnf_core.scene.ply import read_ply_header
 from hnf_core.scene.splats.io_ply import check_splat_file

@@ -10,14 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hnf_core.errors import FileError, HnfError, SceneError
-from hnf_core.scene.file_kind import (
-    HEAD_BYTES,
-    UNREADABLE_EXTENSIONS,
-    check_gltf,
-    describe_unread,
-    identify,
-    read_gltf_document,
-)
+from hnf_core.scene.file_kind import HEAD_BYTES, identify
+from hnf_core.scene.gltf_document import UNREADABLE_EXTENSIONS, check_gltf, describe_unread, read_gltf_document
 
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12\n"
 SAMPLES = {
