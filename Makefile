@@ -1,4 +1,4 @@
-# make demo | test | test-app | docs | extension | repository | release | assets | lint | clean | clean-env
+# make demo | test | test-app | docs | extension | repository | artifacts | release | assets | lint | clean | clean-env
 # (Linux, Python 3.11; sets everything up)
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -10,7 +10,7 @@ PYTHON ?= $(shell for p in python3.11 /usr/bin/python3.11 /usr/local/bin/python3
 VENV := .venv/bin
 PLATFORM ?=
 
-.PHONY: help demo test test-app docs extension repository release assets lint python env-demo env-test env-matrix clean clean-env
+.PHONY: help demo test test-app docs extension repository artifacts release assets lint python env-demo env-test env-matrix clean clean-env
 
 help:
 	@echo 'make demo       set up, build the demo scene, touch it: build/demo'
@@ -20,7 +20,8 @@ help:
 	@echo 'make extension  the add-on as installable zips for every Blender since 4.2: dist; for one system'
 	@echo '               alone: PLATFORM=linux-x64, windows-x64, macos-arm64 or macos-x64'
 	@echo 'make repository an extension repository that Blender updates from: dist/repository'
-	@echo 'make release    tests, then wheels, zips, sums: dist/hnf-VERSION; docs/releasing.md'
+	@echo 'make artifacts  wheels, zips, sums, bill of materials, installed once: dist/hnf-VERSION'
+	@echo 'make release    make test, then make artifacts; docs/releasing.md'
 	@echo 'make assets     the asset library that comes with the add-on: hnf_blender/assets'
 	@echo 'make clean      delete build and dist;  make clean-env  delete the environments too'
 
@@ -64,9 +65,12 @@ extension: env-demo
 repository: env-demo
 	$(VENV)/python tools/build_repository.py
 
-release: test
+artifacts: env-demo
 	$(VENV)/python tools/build_release.py
 	$(VENV)/python tools/check_install.py dist/hnf-$$($(VENV)/hnf --version | cut -d ' ' -f 2)
+
+# In this order: .NOTPARALLEL.
+release: test artifacts
 
 # With the oldest Blender: later ones read its files, it does not read theirs.
 assets: env-matrix
