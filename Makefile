@@ -36,7 +36,7 @@ env-test: python
 	@'$(PYTHON)' tools/setup_env.py test
 
 env-matrix: python
-	@'$(PYTHON)' tools/setup_env.py test blender-4.5 blender-4.2
+	@'$(PYTHON)' tools/setup_env.py test blender-5.2 blender-4.5 blender-4.2
 
 demo: env-demo build/demo/demo.blend
 	timeout 1800 $(VENV)/hnf touch build/demo/demo.blend --out build/demo
@@ -81,4 +81,4 @@ clean:
 	rm -rf --one-file-system build dist
 
 clean-env: clean
-	rm -rf .venv .venv-4.5 .venv-4.2 .venv-docs hnf.egg-info tools/hnf_lab.egg-info
+	rm -rf .venv .venv-5.2 .venv-4.5 .venv-4.2 .venv-docs hnf.egg-info tools/hnf_lab.egg-info

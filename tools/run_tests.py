@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import merge_summary
+import setup_env
 from merge_summary import Case
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -103,6 +104,7 @@ CHECKS = (
     Check("lab", ".venv", (LABORATORY_TESTS, f"--ignore={LABORATORY_TESTS}/blender"), 1800),
     Check("lab-blender", ".venv", (f"{LABORATORY_TESTS}/blender",), 1200),
     Check("blender-4.2", ".venv-4.2", OLDEST_ARGUMENTS, 2400, can_end=False),
+    Check("blender-5.2", ".venv-5.2", exclude_tests("tests/blender", *NOT_ON_MIDDLE), 2400, can_end=False),
     Check("blender-4.5", ".venv-4.5", exclude_tests("tests/blender", *NOT_ON_MIDDLE), 2400, can_end=False),
     Check("core-numpy-1.24", ".venv-4.2", OLD_NUMPY_ARGUMENTS, 1800),
     Check("types", ".venv", ("-m", "mypy"), 600, is_pytest=False),
@@ -135,6 +137,11 @@ def run_once(check: Check) -> tuple[list[Case], str]:
     log_path, xml_path = RESULTS / f"{check.name}.log", RESULTS / f"{check.name}.xml"
     for stale in RESULTS.glob(f"{check.name}*.xml"):
         stale.unlink()
+    missing = setup_env.get_reason_path(check.name)
+    if missing.is_file():
+        skipped = [Case(check.name, check.name, "skipped", missing.read_text(encoding="utf-8"))]
+        merge_summary.write_cases(xml_path, skipped)
+        return skipped, f"skipped: {skipped[0].reason}"
     if STOPPING.is_set():
         return [Case(check.name, check.name, "error", "not run: stopped before")], ""
     profile = RESULTS / f"profile-{check.name}"  # so that no test reads or writes a person's own Blender settings

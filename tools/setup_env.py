@@ -3,12 +3,15 @@
     python3.11 tools/setup_env.py demo                  .venv, enough for `hnf touch`
     python3.11 tools/setup_env.py test blender-4.5 …    .venv with the test tools, .venv-4.5, …
 
-Each name is a file in tools/requirements. A stamp inside the environment holds the hash of everything that decides
-its content; it is written only after pip has succeeded, so an interrupted set-up is taken up again by the next call.
+Each name is a file in tools/requirements. A set of another Python than 3.11 is left out where that Python or a wheel
+cannot be had, and tools/run_tests.py skips its tests for the reason that is given here. A stamp inside the environment
+holds the hash of everything that decides its content; it is written only after pip has succeeded, so an interrupted
+set-up is taken up again by the next call.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import shutil
@@ -23,10 +26,15 @@ import system_libraries
 
 ROOT = Path(__file__).resolve().parent.parent
 REQUIREMENTS = ROOT / "tools" / "requirements"
-FOLDERS = {"demo": ".venv", "test": ".venv", "blender-4.5": ".venv-4.5", "blender-4.2": ".venv-4.2"}
+FOLDERS = {
+    "demo": ".venv", "test": ".venv",
+    "blender-5.2": ".venv-5.2", "blender-4.5": ".venv-4.5", "blender-4.2": ".venv-4.2",
+}  # fmt: skip
+PYTHON = (3, 11)
+OTHER_PYTHONS = {"blender-5.2": (3, 13)}
 # An environment that already holds a larger set serves the smaller one.
 COVERED_BY = {"demo": ("demo", "test")}
-KERNEL_FOLDERS = (".venv", ".venv-4.5")
+KERNEL_FOLDERS = (".venv", ".venv-4.5", ".venv-5.2")
 """Environments that get the kernel. That of Blender 4.2 does not, so that its tests cover the numpy code."""
 PIP_TIMEOUT_S = 1800
 MAX_PARALLEL = 2
@@ -45,9 +53,33 @@ def compute_fingerprint(name: str) -> str:
         (REQUIREMENTS / "constraints.txt").read_text(encoding="utf-8"),
         (ROOT / "tools" / "pyproject.toml").read_text(encoding="utf-8"),
         repr((project["project"], project["build-system"])),
-        repr((sys.version_info[:2], str(ROOT))),
+        repr((get_python(name), str(ROOT))),
     ]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def get_python(name: str) -> tuple[int, int]:
+    """Return the Python version of set `name`."""
+    return OTHER_PYTHONS.get(name, PYTHON)
+
+
+def get_reason_path(name: str) -> Path:
+    """Return the path of the file that says why set `name` cannot be had here; there is none where it can."""
+    return ROOT / "build" / f"no-{name}.txt"
+
+
+def find_interpreter(version: tuple[int, int]) -> str:
+    """Find a Python of this version, with pip to set up environments. Raises SetupError where there is none."""
+    if version == sys.version_info[:2]:
+        return sys.executable
+    name = "python{}.{}".format(*version)
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    probe = f"import sys, ensurepip; sys.exit(sys.version_info[:2] != {version})"
+    for python in (name, f"/usr/bin/{name}", f"/usr/local/bin/{name}", *map(str, sorted(pyenv.glob(f"*/bin/{name}")))):
+        with contextlib.suppress(OSError, subprocess.SubprocessError):
+            subprocess.run([python, "-c", probe], capture_output=True, timeout=60, check=True)
+            return python
+    raise SetupError(f"there is no {name} with venv on this machine. Install {name} and {name}-venv.")
 
 
 def get_stamp_path(folder: Path, name: str) -> Path:
@@ -64,11 +96,11 @@ def is_fresh(folder: Path, name: str) -> bool:
     return False
 
 
-def ensure_interpreter(folder: Path) -> Path:
-    """Return the path of the environment's Python 3.11; create the environment if it is missing or broken."""
+def ensure_interpreter(folder: Path, version: tuple[int, int] = PYTHON) -> Path:
+    """Return the path of the environment's Python; create the environment if it is missing or broken."""
     python = folder / "bin" / "python"
     if folder.exists():
-        probe = [str(python), "-c", "import sys, pip; print(sys.version_info[:2] == (3, 11))"]
+        probe = [str(python), "-c", f"import sys, pip; print(sys.version_info[:2] == {version})"]
         try:
             answer = subprocess.run(probe, capture_output=True, text=True, timeout=60, check=True).stdout.strip()
         except (OSError, subprocess.SubprocessError):
@@ -76,11 +108,12 @@ def ensure_interpreter(folder: Path) -> Path:
         if answer == "True":
             return python
         if answer == "False":
-            raise SetupError(f"{folder} holds another Python than 3.11. Remove or rename it, then run make again.")
+            wanted = "{}.{}".format(*version)
+            raise SetupError(f"{folder} holds another Python than {wanted}. Remove or rename it, then run make again.")
         if not (folder / "pyvenv.cfg").is_file():
             raise SetupError(f"{folder} is in the way and is no Python environment. Rename it, then run make again.")
         shutil.rmtree(folder)
-    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, timeout=300)
+    subprocess.run([find_interpreter(version), "-m", "venv", str(folder)], check=True, timeout=300)
     return python
 
 
@@ -108,13 +141,14 @@ def write_build_config(folder: Path) -> Path:
 def ensure_environment(name: str) -> None:
     """Make the environment of set `name` hold exactly the pinned versions."""
     folder = ROOT / FOLDERS[name]
+    get_reason_path(name).unlink(missing_ok=True)
     if is_fresh(folder, name):
         return
     started = time.monotonic()
     print(
         f"Setting up {folder.name} for {name} (downloads about {'2 GB' if name == 'test' else '600 MB'}) …", flush=True
     )
-    python = ensure_interpreter(folder)
+    python = ensure_interpreter(folder, get_python(name))
     get_stamp_path(folder, name).unlink(missing_ok=True)
     pip(python, "-c", str(REQUIREMENTS / "constraints.txt"), "setuptools")
     # Without isolation the build uses the pinned setuptools and downloads nothing else.
@@ -124,14 +158,23 @@ def ensure_environment(name: str) -> None:
 
 
 def ensure_in_turn(names: list[str]) -> list[str]:
-    """Ensure the sets of one folder in turn, up to the first that fails; returns its message, if any."""
+    """Ensure the sets of one folder in turn, up to the first that fails; returns its message, if any.
+
+    That of another Python than 3.11 may fail: its reason is kept for tools/run_tests.py.
+    """
     for name in names:
         try:
             ensure_environment(name)
-        except SetupError as error:
-            return [str(error)]
-        except (OSError, subprocess.SubprocessError) as error:
-            return [f"Setting up {FOLDERS[name]} failed: {error}. Fix that and run make again."]
+        except (SetupError, OSError, subprocess.SubprocessError) as error:
+            message = str(error)
+            if not isinstance(error, SetupError):
+                message = f"Setting up {FOLDERS[name]} failed: {error}. Fix that and run make again."
+            if name not in OTHER_PYTHONS:
+                return [message]
+            path = get_reason_path(name)
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(message, encoding="utf-8")
+            print(f"Without {name}: {message}", file=sys.stderr)
     return []
 
 
@@ -141,7 +184,7 @@ def main(names: list[str]) -> int:
     if unknown or not names:
         print(f"usage: setup_env.py {{{','.join(FOLDERS)}}}…", file=sys.stderr)
         return 2
-    if sys.version_info[:2] != (3, 11):
+    if sys.version_info[:2] != PYTHON:
         print("Python 3.11 is needed: run this with python3.11, or name it with make PYTHON=…", file=sys.stderr)
         return 1
     if system_libraries.main() != 0:
@@ -154,7 +197,8 @@ def main(names: list[str]) -> int:
     for error in errors:
         print(error, file=sys.stderr)
     if not errors:
-        install_kernel([folder for folder in folders if folder in KERNEL_FOLDERS])
+        missing = {FOLDERS[name] for name in names if get_reason_path(name).is_file()}
+        install_kernel([folder for folder in folders if folder in KERNEL_FOLDERS and folder not in missing])
     return int(bool(errors))
 
 

@@ -166,6 +166,31 @@ def test_an_environment_of_another_kind_is_never_deleted(tmp_path: Path) -> None
     assert (tmp_path / "precious").read_text() == "mine"
 
 
+def test_a_missing_python_leaves_its_tests_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(setup_env, "ROOT", tmp_path)
+    monkeypatch.setattr(setup_env, "OTHER_PYTHONS", {"blender-5.2": (3, 99)})
+    monkeypatch.setattr(run_tests, "RESULTS", tmp_path)
+    assert setup_env.ensure_in_turn(["blender-5.2"]) == []
+    check = run_tests.Check("blender-5.2", ".venv-5.2", (), 60.0)
+    (case,), _ = run_tests.run(check)
+    assert case.outcome == "skipped"
+    assert "Install python3.99 and python3.99-venv" in case.reason
+    assert merge_summary.read_cases(tmp_path / "blender-5.2.xml") == [case]
+
+
+@pytest.mark.parametrize(("name", "errors"), [("blender-5.2", 0), ("blender-4.5", 1)])
+def test_only_a_set_of_another_python_may_fail(
+    name: str, errors: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_name: str) -> None:
+        raise subprocess.CalledProcessError(1, ["pip", "install"])
+
+    monkeypatch.setattr(setup_env, "ROOT", tmp_path)
+    monkeypatch.setattr(setup_env, "ensure_environment", fail)
+    assert len(setup_env.ensure_in_turn([name])) == errors
+    assert setup_env.get_reason_path(name).is_file() == (errors == 0)
+
+
 def test_what_a_file_says_of_itself_comes_before_the_totals(tmp_path: Path) -> None:
     path = tmp_path / "app.xml"
     path.write_text(
