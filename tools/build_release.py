@@ -17,9 +17,12 @@ import json
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
+import tarfile
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -32,6 +35,8 @@ from kernel.setup import PLATFORMS
 BACKEND = "import sys; from setuptools import build_meta; getattr(build_meta, sys.argv[1])(sys.argv[2])"
 SUMS, BILL, NOTES = "SHA256SUMS", "sbom.cdx.json", "release-notes.md"
 BUILD_S = 600
+SHORT_HOST = 8
+"""Names of machines up to this many letters, such as `vm`, are words of texts too."""
 PACKED = (
     "hnf_core", "hnf_blender", "tools/kernel", "pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md",
     "CITATION.cff",
@@ -74,9 +79,11 @@ def run_backend(project: str, hook: str, out: Path) -> None:
                 shutil.copytree(ROOT / name, Path(copy) / name, ignore=shutil.ignore_patterns("__pycache__", "build"))
             else:
                 shutil.copy2(ROOT / name, copy)
+        config = Path(copy) / "build.cfg"
+        config.write_text("[sdist]\nowner = root\ngroup = root\n", encoding="utf-8")  # not who builds it
         run = subprocess.run(
             [sys.executable, "-c", BACKEND, hook, str(out)], cwd=Path(copy) / project, capture_output=True, text=True,
-            timeout=BUILD_S, stdin=subprocess.DEVNULL,
+            timeout=BUILD_S, stdin=subprocess.DEVNULL, env=os.environ | {"DIST_EXTRA_CONFIG": str(config)},
         )  # fmt: skip
     if run.returncode != 0:
         raise BuildError(f"{hook} of {project or 'hnf'} failed:\n{(run.stdout + run.stderr).strip()[-2000:]}")
@@ -125,6 +132,35 @@ def make_bill(version: str, date: str, zips: list[Path]) -> dict[str, Any]:
     }
 
 
+def list_members(name: str, content: bytes) -> Iterator[tuple[str, bytes]]:
+    """List the files of an archive and of archives in it, as name and content; wheels of others are left out."""
+    base = name.rpartition("/")[2]
+    if name.endswith((".zip", ".whl")):
+        if name.endswith(".whl") and not base.startswith("hnf"):
+            return
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            for entry in archive.namelist():
+                yield from list_members(f"{name}/{entry}", archive.read(entry))
+    elif name.endswith(".tar.gz"):
+        with tarfile.open(fileobj=io.BytesIO(content)) as archive:
+            for entry in archive:
+                stream = archive.extractfile(entry)
+                yield f"{name}/{entry.name}", b"" if stream is None else stream.read()
+    else:
+        yield name, content
+
+
+def check_traces(folder: Path) -> None:
+    """Check that no file names the checkout's folder, the person's or this machine. Raises BuildError."""
+    host = socket.gethostname()
+    traces = [f"{ROOT}", f"{Path.home()}/", *([host] if len(host) > SHORT_HOST else [])]
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        for name, content in list_members(path.relative_to(folder).as_posix(), path.read_bytes()):
+            for trace in traces:
+                if trace.encode() in content:
+                    raise BuildError(f"{name} names {trace}, which is of this machine. Build it without.")
+
+
 def write_sums(folder: Path) -> None:
     """Write the SHA-256 sums of all files of a folder, in the form that `sha256sum --check` takes."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != SUMS)
@@ -160,6 +196,7 @@ def build_release(out: Path, targets: list[Target], *, is_draft: bool) -> Path:
     (work / NOTES).write_text(f"# {version}\n\n{notes}", encoding="utf-8")
     bill = make_bill(version, run_git("log", "-1", "--format=%cI"), zips)
     (work / BILL).write_text(json.dumps(bill, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    check_traces(work)
     write_sums(work)
     shutil.rmtree(folder, ignore_errors=True)
     work.rename(folder)

@@ -192,6 +192,23 @@ def test_the_bill_names_each_bundled_wheel_once(tmp_path: Path) -> None:
     assert bill["dependencies"] == [{"ref": "hnf", "dependsOn": [component["bom-ref"]]}]
 
 
+def test_a_file_that_names_this_machine_is_refused(tmp_path: Path) -> None:
+    bundle = io.BytesIO()
+    with zipfile.ZipFile(bundle, "w") as wheel:
+        wheel.writestr("a/lib.so", f"\0{Path.home()}/a.c")
+    with zipfile.ZipFile(tmp_path / "x.zip", "w") as archive:
+        archive.writestr("wheels/other-1.0-py3-none-any.whl", bundle.getvalue())
+    build_release.check_traces(tmp_path)  # another project's wheel stays as the index has it
+    with zipfile.ZipFile(tmp_path / "x.zip", "a") as archive:
+        archive.writestr("wheels/hnf_kernel-1.0-py3-none-any.whl", bundle.getvalue())
+    with pytest.raises(BuildError, match=r"x\.zip/wheels/hnf_kernel-.*/a/lib\.so names "):
+        build_release.check_traces(tmp_path)
+    (tmp_path / "x.zip").unlink()
+    (tmp_path / "notes.md").write_text(f"made in {ROOT}\n")
+    with pytest.raises(BuildError, match=r"notes\.md names "):
+        build_release.check_traces(tmp_path)
+
+
 def test_sums_are_those_of_sha256sum(tmp_path: Path) -> None:
     (tmp_path / "repository").mkdir()
     (tmp_path / "a.txt").write_text("a")

@@ -102,6 +102,8 @@ def compile_library(goal: Platform, library: str, processor: str, folder: Path) 
     sources = [str(path) for path in sorted(SOURCE_FOLDER.glob("*.c"))]
     command = [sys.executable, "-m", "ziglang", "cc", "-target", goal.target, f"-mcpu={processor}", *OPTIONS]
     command += [] if goal.suffix == ".dll" else ["-fPIC", "-lm"]
+    # By default a Mac's library carries the path that it was built at.
+    command += [f"-Wl,-install_name,@rpath/{library}.dylib"] if goal.suffix == ".dylib" else []
     try:
         run = subprocess.run(
             [*command, *sources, "-o", str(folder / f"{library}{goal.suffix}")], capture_output=True, text=True,
