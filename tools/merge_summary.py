@@ -67,9 +67,13 @@ def read_seconds(path: Path) -> float:
 
 
 def read_properties(path: Path) -> list[str]:
-    """Read a JUnit file's own properties, such as its Blender version, as lines `NAME: property value`."""
+    """Read a JUnit file's own properties, such as its Blender version, as lines `NAME: property value`.
+
+    Statistics, which Hypothesis writes for every test, are left out.
+    """
     elements = ElementTree.parse(path).iterfind("./testsuite/properties/property")
-    return [f"{path.stem}: {element.get('name', '')} {element.get('value', '')}" for element in elements]
+    found = [(element.get("name", ""), element.get("value", "")) for element in elements]
+    return [f"{path.stem}: {name} {value}" for name, value in found if not name.startswith("hypothesis-statistics")]
 
 
 def format_totals(cases: list[Case], seconds: float) -> str:

@@ -10,7 +10,7 @@ def datablock_names() -> dict[str, list[str]]:
     """Every datablock's name by collection: what must be equal before and after a call that only looks."""
     names = {}
     for prop in bpy.data.bl_rna.properties:
-        if prop.type == "COLLECTION":
+        if prop.type == "COLLECTION" and prop.identifier != "all_ids":  # those of Blender 5.2, once more
             names[prop.identifier] = sorted(block.name_full for block in getattr(bpy.data, prop.identifier))
     return names
 

@@ -194,7 +194,8 @@ def test_only_a_set_of_another_python_may_fail(
 def test_what_a_file_says_of_itself_comes_before_the_totals(tmp_path: Path) -> None:
     path = tmp_path / "app.xml"
     path.write_text(
-        '<testsuites><testsuite time="1.5"><properties><property name="blender" value="5.2.2 LTS"/></properties>'
+        '<testsuites><testsuite time="1.5"><properties><property name="blender" value="5.2.2 LTS"/>'
+        '<property name="hypothesis-statistics-a.py::b" value="AAAA"/></properties>'
         '<testcase classname="a" name="b"/></testsuite></testsuites>',
         encoding="utf-8",
     )
