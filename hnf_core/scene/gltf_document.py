@@ -86,12 +86,10 @@ def check_gltf(path: Path, supported: frozenset[str] = frozenset()) -> dict[str,
     for buffer in _get_dicts(document, "buffers"):
         _check_buffer(path, str(buffer.get("uri", "")))
     required = document.get("extensionsRequired")
-    for name in required if isinstance(required, list) else []:
-        if name in UNREADABLE_EXTENSIONS and name not in supported:
+    for name, remedy in UNREADABLE_EXTENSIONS.items():
+        if isinstance(required, list) and name in required and name not in supported:
             raise FileError(
-                f"needs the extension {name}, which Blender's importer lacks.",
-                where=str(path),
-                remedy=UNREADABLE_EXTENSIONS[name],
+                f"needs the extension {name}, which Blender's importer lacks.", where=str(path), remedy=remedy
             )
     return document
 

@@ -6,7 +6,7 @@ import json
 import struct
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hnf_core.errors import FileError, HnfError, SceneError
@@ -125,6 +125,7 @@ JSON = st.recursive(
 
 
 @given(JSON)
+@example({"extensionsRequired": [[]]})
 def test_any_document_is_read_or_refused(tmp_path_factory, document):
     path = tmp_path_factory.getbasetemp() / "any.gltf"
     path.write_text(json.dumps(document))
