@@ -63,9 +63,9 @@ def get_python(name: str) -> tuple[int, int]:
     return OTHER_PYTHONS.get(name, PYTHON)
 
 
-def get_reason_path(name: str) -> Path:
-    """Return the path of the file that says why set `name` cannot be had here; there is none where it can."""
-    return ROOT / "build" / f"no-{name}.txt"
+def get_reason_path(folder: str) -> Path:
+    """Return the path of the file that says why an environment cannot be had here; there is none where it can."""
+    return ROOT / "build" / f"no-{folder.lstrip('.')}.txt"
 
 
 def find_interpreter(version: tuple[int, int]) -> str:
@@ -141,7 +141,7 @@ def write_build_config(folder: Path) -> Path:
 def ensure_environment(name: str) -> None:
     """Make the environment of set `name` hold exactly the pinned versions."""
     folder = ROOT / FOLDERS[name]
-    get_reason_path(name).unlink(missing_ok=True)
+    get_reason_path(FOLDERS[name]).unlink(missing_ok=True)
     if is_fresh(folder, name):
         return
     started = time.monotonic()
@@ -171,7 +171,7 @@ def ensure_in_turn(names: list[str]) -> list[str]:
                 message = f"Setting up {FOLDERS[name]} failed: {error}. Fix that and run make again."
             if name not in OTHER_PYTHONS:
                 return [message]
-            path = get_reason_path(name)
+            path = get_reason_path(FOLDERS[name])
             path.parent.mkdir(exist_ok=True)
             path.write_text(message, encoding="utf-8")
             print(f"Without {name}: {message}", file=sys.stderr)
@@ -197,8 +197,7 @@ def main(names: list[str]) -> int:
     for error in errors:
         print(error, file=sys.stderr)
     if not errors:
-        missing = {FOLDERS[name] for name in names if get_reason_path(name).is_file()}
-        install_kernel([folder for folder in folders if folder in KERNEL_FOLDERS and folder not in missing])
+        install_kernel([each for each in folders if each in KERNEL_FOLDERS and not get_reason_path(each).is_file()])
     return int(bool(errors))
 
 

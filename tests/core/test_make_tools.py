@@ -188,7 +188,7 @@ def test_only_a_set_of_another_python_may_fail(
     monkeypatch.setattr(setup_env, "ROOT", tmp_path)
     monkeypatch.setattr(setup_env, "ensure_environment", fail)
     assert len(setup_env.ensure_in_turn([name])) == errors
-    assert setup_env.get_reason_path(name).is_file() == (errors == 0)
+    assert setup_env.get_reason_path(setup_env.FOLDERS[name]).is_file() == (errors == 0)
 
 
 def test_what_a_file_says_of_itself_comes_before_the_totals(tmp_path: Path) -> None:
