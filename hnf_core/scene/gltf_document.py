@@ -110,9 +110,8 @@ def is_splat_document(document: dict[str, Any]) -> bool:
     if any(str(name).startswith(SPLAT_EXTENSION) for name in (required if isinstance(required, list) else [])):
         return True
     primitives = (each for mesh in _get_dicts(document, "meshes") for each in _get_dicts(mesh, "primitives"))
-    return any(
-        str(name).startswith(SPLAT_EXTENSION) for primitive in primitives for name in primitive.get("extensions") or ()
-    )
+    named = (each.get("extensions") for each in primitives)
+    return any(name.startswith(SPLAT_EXTENSION) for each in named if isinstance(each, dict) for name in each)
 
 
 def _get_dicts(document: dict[str, Any], name: str) -> list[dict[str, Any]]:

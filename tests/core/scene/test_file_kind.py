@@ -126,6 +126,7 @@ JSON = st.recursive(
 
 @given(JSON)
 @example({"extensionsRequired": [[]]})
+@example({"asset": {"version": "2.0"}, "meshes": [{"primitives": [{"extensions": True}]}]})
 def test_any_document_is_read_or_refused(tmp_path_factory, document):
     path = tmp_path_factory.getbasetemp() / "any.gltf"
     path.write_text(json.dumps(document))
