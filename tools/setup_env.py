@@ -168,7 +168,7 @@ def ensure_in_turn(names: list[str]) -> list[str]:
         except (SetupError, OSError, subprocess.SubprocessError) as error:
             message = str(error)
             if not isinstance(error, SetupError):
-                message = f"Setting up {FOLDERS[name]} failed: {error}. Fix that and run make again."
+                message = f"Setting up {FOLDERS[name]} failed: {str(error).rstrip('.')}. Fix that and run make again."
             if name not in OTHER_PYTHONS:
                 return [message]
             path = get_reason_path(FOLDERS[name])
