@@ -21,10 +21,10 @@ from hnf_core.errors import FileError, SceneError
 from hnf_core.progress import ProgressCallback, ignore_progress
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.file_kind import identify, read_head
-from hnf_core.scene.gltf_document import check_gltf, describe_unread, read_gltf_document
+from hnf_core.scene.gltf_document import check_gltf, describe_unread, is_splat_document, read_gltf_document
 from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, read_model_transforms
 from hnf_core.scene.ply import read_ply_header
-from hnf_core.scene.splats.io_ply import check_splat_file
+from hnf_core.scene.splats.splat_file import SPLAT_SUFFIXES, open_splat_file
 
 from .scene.stored_data import show_vertex_colours
 from .scene.temp_scene import suppress_output
@@ -345,10 +345,10 @@ def _make_camera_matrix(camera: Camera) -> Any:
 
 SCENE_SUFFIXES = (
     *(".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".stl", ".dae", ".json"),
+    *SPLAT_SUFFIXES,
 )
 IMPORT_NOTES = "hnf_import_notes"
 """ID property of a scene: what could not be imported into it, one note a line."""
-SPLAT_SUFFIXES = (".splat", ".ksplat", ".spz", ".sog")
 # A curve may be a stroke, and an empty may instance a collection of meshes; lights and cameras cannot be touched.
 TOUCHABLE_TYPES = ("MESH", "SURFACE", "META", "FONT", "CURVE", "CURVES", "EMPTY")
 # Blender compresses files with ZStandard (3.0 and later) or gzip (before).
@@ -410,7 +410,7 @@ def open_scene(
         return open_nerfstudio_export(
             path, lambda geometry: open_scene(geometry, cache, progress, write_cache=write_cache)
         )
-    if suffix == ".ply" and read_ply_header(path).is_splat:
+    if is_splat_file(path, suffix):
         return _open_splats(path, cache, progress, write_cache)
     importer = _find_importer(suffix, path)
     open_empty_scene()
@@ -461,10 +461,8 @@ def check_scene_file(path: Path) -> str:
         raise FileError("is not a file.", where=where, remedy="Give the scene file itself.")
     head = read_head(path)
     kind = identify(head)
-    if kind is not None and not kind.suffix and (suffix in SCENE_SUFFIXES + SPLAT_SUFFIXES or kind.is_stand_in):
+    if kind is not None and not kind.suffix and (suffix in SCENE_SUFFIXES or kind.is_stand_in):
         raise FileError(f"is {kind.what}.", where=where, remedy=kind.remedy)
-    if suffix in SPLAT_SUFFIXES:
-        raise _unreadable_splats_error(where)
     if kind is not None and kind.suffix and _get_family(kind.suffix) != _get_family(suffix):
         if suffix.startswith(".usd") or kind.suffix.startswith(".usd"):  # Blender goes by the name
             raise FileError(f"is {kind.what}.", where=where, remedy=f"Rename it to {path.stem}{kind.suffix}.")
@@ -491,9 +489,18 @@ def check_scene_file(path: Path) -> str:
         check_gltf(path)
     if suffix == ".ply":
         _check_ply(path)
+    if is_splat_file(path, suffix):
+        open_splat_file(path)
     if suffix == ".stl" and not _is_stl(path, head):
         raise _damaged_file_error(path, "it is no STL file, neither text nor binary")
     return suffix
+
+
+def is_splat_file(path: Path, suffix: str) -> bool:
+    """Return True for a file of Gaussian splats; `suffix` is the ending of its kind."""
+    if suffix == ".ply":
+        return read_ply_header(path).is_splat
+    return suffix in SPLAT_SUFFIXES or (suffix in {".gltf", ".glb"} and is_splat_document(read_gltf_document(path)))
 
 
 def _is_stl(path: Path, head: bytes) -> bool:
@@ -512,12 +519,9 @@ def _get_family(suffix: str) -> str:
 
 
 def _check_ply(path: Path) -> None:
-    """Raise SceneError if a .ply is a point cloud, FileError if it contains splats that cannot be read."""
+    """Raise SceneError if a .ply is a point cloud without splats."""
     header = read_ply_header(path)
-    if header.is_splat:
-        check_splat_file(path)
-        return
-    if header.count("face") == 0 and header.count("tristrips") == 0:
+    if not header.is_splat and header.count("face") == 0 and header.count("tristrips") == 0:
         raise SceneError(
             f"is a cloud of {header.count('vertex')} points without faces: there is no surface to touch.",
             where=str(path),
@@ -601,14 +605,6 @@ def _extract_reason(message: str) -> str:
     ]
     reason = (raised[-1] if "Traceback" in message and raised else lines[0] if lines else "no reason given").strip()
     return re.sub(r"^Error:\s*", "", reason).rstrip(".")
-
-
-def _unreadable_splats_error(where: str) -> SceneError:
-    return SceneError(
-        "is a Gaussian-splat scene of a kind that cannot be read.",
-        where=where,
-        remedy="Convert it to .ply with SuperSplat or splat-transform.",
-    )
 
 
 def _damaged_file_error(path: Path, why: str) -> FileError:

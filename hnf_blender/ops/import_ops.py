@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from hnf_core.errors import FileError, HnfError, SceneError
-from hnf_core.progress import Cancelled, Progress, ProgressCallback, ignore_progress
+from hnf_core.progress import Cancelled, Progress
 from hnf_core.units import MAX_LENGTH_M, MIN_LENGTH_M, compute_metric_scale
 
 from ..bridge.scene.scene_names import find_object, get_scene_name
@@ -28,6 +28,7 @@ from .stroke_ops import UNDOABLE
 
 if TYPE_CHECKING:
     from hnf_core.material.hnf_file import MaterialFile
+    from hnf_core.scene.splats.gaussians import SplatSource
     from hnf_core.signal import Signal
 
     from ..bridge.splats.reconstruction import Reconstruction
@@ -226,27 +227,35 @@ TICK_S = 0.1
 
 
 class SplatReader:
-    """Thread that reads a Gaussian-splat file and reconstructs its surface, independent of Blender's data."""
+    """Thread that reads a Gaussian-splat file, opened in Blender's main one, and reconstructs its surface."""
 
     def __init__(self, path: Path, cache: Path) -> None:
         self.share = 0.0
         self.result: Reconstruction | None = None
         self.error: HnfError | None = None
         self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(path, cache), daemon=True)
+        self._thread: threading.Thread | None = None
+        try:
+            source = open_splats(path)
+        except HnfError as error:
+            self.error = error
+            return
+        self._thread = threading.Thread(target=self._run, args=(path, cache, source), daemon=True)
         self._thread.start()
 
     @property
     def is_done(self) -> bool:
-        return not self._thread.is_alive()
+        return self._thread is None or not self._thread.is_alive()
 
     def stop(self) -> None:
         """Stop after the current stage and discard the result."""
         self._stopped.set()
 
-    def _run(self, path: Path, cache: Path) -> None:
+    def _run(self, path: Path, cache: Path, source: "SplatSource") -> None:
+        from ..bridge.splats.reconstruction import read_reconstruction
+
         try:
-            self.result = read_splat_file(path, cache, self._on_progress)
+            self.result = read_reconstruction(path, cache, progress=self._on_progress, source=source)
         except HnfError as error:
             self.error = error
         except Cancelled:
@@ -260,39 +269,28 @@ class SplatReader:
         self.share = progress.fraction
 
 
-def read_splat_file(path: Path, cache: Path, progress: ProgressCallback = ignore_progress) -> "Reconstruction":
-    """Read a splat file and reconstruct its surface.
+def open_splats(path: Path) -> "SplatSource":
+    """Open a splat file, in Blender's main thread.
 
-    Parameters
-    ----------
-    path : Path
-        The .ply file.
-    cache : Path
-        Folder of cached reconstructions.
-    progress : ProgressCallback, optional
-        Called before each stage.
-
-    Returns
-    -------
-    Reconstruction
-        Splats and surface.
-
-    Raises
-    ------
-    HnfError
-        If the file has no splats, cannot be read, or yields no surface.
+    Raises HnfError for a file that cannot be read, and for a mesh, with the name of the importer that takes it.
     """
+    from hnf_core.scene.file_kind import identify, read_head
+    from hnf_core.scene.gltf_document import is_splat_document, read_gltf_document
     from hnf_core.scene.ply import read_ply_header
 
-    from ..bridge.splats.reconstruction import read_reconstruction
+    from ..bridge.splats import reconstruction
 
-    if path.is_file() and path.suffix.lower() == ".ply" and not read_ply_header(path).is_splat:
+    kind = identify(read_head(path))
+    suffix = kind.suffix if kind is not None else path.suffix.lower()
+    is_mesh = suffix == ".ply" and not read_ply_header(path).is_splat
+    if is_mesh or (suffix in {".glb", ".gltf"} and not is_splat_document(read_gltf_document(path))):
+        importer = "Stanford PLY (.ply)" if is_mesh else "glTF 2.0 (.glb/.gltf)"
         raise SceneError(
             "is a mesh or a point cloud, not splats.",
             where=str(path),
-            remedy="Import it with File > Import > Stanford PLY (.ply).",
+            remedy=f"Import it with File > Import > {importer}.",
         )
-    return read_reconstruction(path, cache, progress=progress)
+    return reconstruction.open_splats(path)
 
 
 class _ImportState:
@@ -308,7 +306,7 @@ class _ImportState:
 
 class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[misc]  # bpy has no types
     bl_idname = "hnf.import_splats"
-    bl_label = "Gaussian Splats (.ply)"
+    bl_label = "Gaussian Splats"
     bl_description = (
         "Add a 3-D Gaussian splat reconstruction: its splats, and a surface made of them that can be touched"
     )
@@ -316,11 +314,13 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
 
     filepath: bpy.props.StringProperty(
         name="File",
-        description="The .ply file, in INRIA's or PlayCanvas's layout",
+        description="The file: .ply, .spz, .sog (or its meta.json), .splat, .ksplat, or glTF with splats",
         subtype="FILE_PATH",
         options={"SKIP_SAVE"} | beside_the_file(),
     )
-    filter_glob: bpy.props.StringProperty(default="*.ply", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(
+        default="*.ply;*.spz;*.sog;*.splat;*.ksplat;*.glb;*.gltf;meta.json", options={"HIDDEN"}
+    )
 
     @classmethod
     def poll(cls, context: Any) -> bool:
@@ -339,7 +339,9 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
         if self._browser_opened and not bpy.app.background:
             return self._start(context)
         try:
-            reconstruction = read_splat_file(self._path, get_cache_folder())
+            from ..bridge.splats.reconstruction import read_reconstruction
+
+            reconstruction = read_reconstruction(self._path, get_cache_folder(), source=open_splats(self._path))
         except HnfError as error:
             return self._report_error(error)
         return self._add_to_scene(context, reconstruction)
@@ -414,13 +416,13 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
 class HNF_FH_splats(bpy.types.FileHandler):  # type: ignore[misc]
     """Drop handler of splat files.
 
-    Blender's own handler takes .ply too: a drop then asks which of the two it shall be.
+    Blender's own handler takes .ply too: a drop then asks which of the two it shall be. A .glb is left to Blender.
     """
 
     bl_idname = "HNF_FH_splats"
     bl_label = "Gaussian splats"
     bl_import_operator = "hnf.import_splats"
-    bl_file_extensions = ".ply"
+    bl_file_extensions = ".ply;.spz;.sog;.splat;.ksplat"
 
     @classmethod
     def poll_drop(cls, context: Any) -> bool:

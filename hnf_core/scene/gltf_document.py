@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from ..errors import FileError, SceneError
+from ..errors import FileError
 from .file_kind import identify, read_head
 
 MAX_JSON_BYTES = 256 * 2**20
@@ -73,16 +73,8 @@ def check_gltf(path: Path, supported: frozenset[str] = frozenset()) -> dict[str,
     ------
     FileError
         If it is damaged, of version 1.0, or needs a file or an extension that is not there.
-    SceneError
-        If it holds Gaussian splats.
     """
     document = read_gltf_document(path)
-    if is_splat_document(document):
-        raise SceneError(
-            "is a Gaussian-splat scene of a kind that cannot be read.",
-            where=str(path),
-            remedy="Convert it to .ply with SuperSplat or splat-transform.",
-        )
     for buffer in _get_dicts(document, "buffers"):
         _check_buffer(path, str(buffer.get("uri", "")))
     required = document.get("extensionsRequired")

@@ -76,13 +76,11 @@ def read_ply_header(path: Path) -> PlyHeader:
         with path.open("rb") as stream:
             head = stream.read(MAX_HEADER_BYTES)
     except OSError as error:
-        raise FileError(
-            f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the path and its rights."
-        ) from error
+        raise make_unreadable_error(path, error) from error
     end = END_OF_HEADER.search(head)
     lines = head[: end.start() if end else 0].replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
     if end is None or lines[0].strip() != b"ply":
-        raise _damaged_error(path, "it has no PLY header")
+        raise make_damaged_error(path, "it has no PLY header")
     # If lines end with a carriage return alone, a data byte that looks like a line feed may follow the header.
     cr_only = head[3:].lstrip(b" \t").startswith(b"\r") and not head[3:].lstrip(b" \t").startswith(b"\r\n")
     data_offset = end.start(1) + 1 if cr_only and end[1] == b"\r\n" else end.end()
@@ -99,7 +97,7 @@ def read_ply_header(path: Path) -> PlyHeader:
         elif words[:1] == ["element"]:
             is_malformed = len(words) != 3 or not words[2].isdecimal() or len(words[2]) > MAX_COUNT_DIGITS
             if is_malformed or words[1] in elements:
-                raise _damaged_error(path, f"its header line {' '.join(words)[:80]!r} cannot be read")
+                raise make_damaged_error(path, f"its header line {' '.join(words)[:80]!r} cannot be read")
             name = words[1]
             elements[name], types[name] = (int(words[2]), ()), ()
         elif words[:1] == ["property"] and name:
@@ -109,7 +107,8 @@ def read_ply_header(path: Path) -> PlyHeader:
     return PlyHeader(elements, types, format_name, tuple(comments), data_offset)
 
 
-def _damaged_error(path: Path, why: str) -> FileError:
+def make_damaged_error(path: Path, why: str) -> FileError:
+    """Return the error for a file whose content contradicts itself."""
     return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")
 
 
@@ -130,7 +129,7 @@ def count_complete_rows(path: Path, header: PlyHeader, element: str) -> int:
     try:
         available = path.stat().st_size - _find_element_offset(path, header, element)
     except OSError as error:
-        raise _unreadable_error(path, error) from error
+        raise make_unreadable_error(path, error) from error
     return min(count, max(available, 0) // size) if size else count
 
 
@@ -154,7 +153,7 @@ def iter_rows(path: Path, header: PlyHeader, element: str, block: int) -> Iterat
                     raise make_truncated_error(path, element, first + len(data) // dtype.itemsize, count)
                 yield np.frombuffer(data, dtype=dtype)
     except OSError as error:
-        raise _unreadable_error(path, error) from error
+        raise make_unreadable_error(path, error) from error
 
 
 def make_truncated_error(path: Path, element: str, present: int, count: int) -> FileError:
@@ -199,9 +198,9 @@ def _parse_numbers(path: Path, text: list[str], columns: int) -> NDArray[np.floa
     try:
         table = np.loadtxt(text, dtype=np.float64, comments=None, ndmin=2)
     except ValueError as error:
-        raise _damaged_error(path, "a line of its data holds something else than numbers") from error
+        raise make_damaged_error(path, "a line of its data holds something else than numbers") from error
     if table.shape != (len(text), columns):
-        raise _damaged_error(path, f"a line of its data holds {table.shape[1]} numbers instead of {columns}")
+        raise make_damaged_error(path, f"a line of its data holds {table.shape[1]} numbers instead of {columns}")
     return table
 
 
@@ -217,7 +216,7 @@ def _find_element_offset(path: Path, header: PlyHeader, element: str) -> int:
 
 def _get_row_dtype(path: Path, header: PlyHeader, element: str) -> np.dtype[Any]:
     if header.format != "ascii" and header.format not in BYTE_ORDERS:
-        raise _damaged_error(
+        raise make_damaged_error(
             path, f"its format {header.format[:40]!r} is not one of {', '.join(('ascii', *BYTE_ORDERS))}"
         )
     order = BYTE_ORDERS.get(header.format, "=")
@@ -230,11 +229,12 @@ def _get_row_dtype(path: Path, header: PlyHeader, element: str) -> np.dtype[Any]
                 remedy="Export it again, as Gaussian splats alone.",
             )
     if len(set(names)) < len(names):
-        raise _damaged_error(path, f"its element '{element}' names a property twice")
+        raise make_damaged_error(path, f"its element '{element}' names a property twice")
     return np.dtype([(name, order + code) for name, code in zip(names, types, strict=True)])
 
 
-def _unreadable_error(path: Path, error: OSError) -> FileError:
+def make_unreadable_error(path: Path, error: OSError) -> FileError:
+    """Return the error for a file that the system does not let us read."""
     return FileError(
         f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the path and its rights."
     )

@@ -22,7 +22,7 @@ from hnf_blender.bridge.splats.splat_cloud import get_cloud
 from hnf_core.errors import FileError, SceneError
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.nerfstudio import NerfstudioFrame, read_transforms
-from hnf_core.scene.splats.io_ply import read_splats
+from hnf_core.scene.splats.splat_file import read_splats
 
 SPOT = np.array([0.021, -0.013, 0.012])
 WIDTH, HEIGHT = 144, 96

@@ -17,7 +17,7 @@ from data_tools.object_splats import compute_rotations_from_z, make_object_splat
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_core.scene.camera import Patch
 from hnf_core.scene.splats.gaussians import C0
-from hnf_core.scene.splats.io_ply import read_splats
+from hnf_core.scene.splats.splat_file import read_splats
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -22,6 +22,8 @@ from hnf_blender.ops import import_ops
 from hnf_blender.ops.import_ops import SplatReader
 from hnf_blender.ui.scene_panel import HNF_PT_scale
 from hnf_core.progress import Progress, ignore_progress
+from hnf_core.scene.splats.splat_file import open_splat_file, read_splats
+from reference.splat_layouts import WRITERS, get_suffix, write_sog
 
 pytestmark = pytest.mark.usefixtures("operators")
 
@@ -83,24 +85,62 @@ def test_up_is_turned_to_z(quick, tmp_path: Path) -> None:
         assert (surface.matrix_world.to_3x3() @ Vector(up))[:] == pytest.approx((0.0, 0.0, 1.0), abs=1e-6)
 
 
-@pytest.mark.parametrize("damage", ["cut", "missing", "mesh", "spz"])
+@pytest.mark.parametrize("damage", ["cut", "missing", "mesh", "glb mesh", "spz"])
 def test_what_cannot_be_imported_adds_nothing_and_says_why(quick, tmp_path: Path, damage: str) -> None:
     path = slab_file(tmp_path)
     if damage == "cut":
         path.write_bytes(path.read_bytes()[:-100])
     elif damage == "mesh":
         path.write_text("ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nend_header\n")
+    elif damage == "glb mesh":
+        path.write_text('{"asset": {"version": "2.0"}}')
     elif damage == "missing":
         path.unlink()
     else:
-        path = path.rename(path.with_suffix(".spz"))
-    said = {"cut": "splats are there", "missing": "No such file", "mesh": "Stanford PLY", "spz": "Convert it to"}[
-        damage
-    ]
-    with pytest.raises(RuntimeError, match=said) as caught:
+        path = path.with_suffix(".spz")
+        path.write_bytes(b"NGSP" + bytes(30))
+    said = {"cut": "splats are there", "missing": "No such file", "mesh": "Stanford PLY", "glb mesh": "glTF 2.0"}
+    with pytest.raises(RuntimeError, match=said.get(damage, "version 0; versions 2, 3, 4 are read")) as caught:
         bpy.ops.hnf.import_splats(filepath=str(path))
     assert str(path) in str(caught.value)
     assert len(bpy.data.objects) == len(bpy.data.meshes) == 0
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_every_layout_is_imported_and_upright(quick, tmp_path: Path, layout: str) -> None:
+    """Its splats are those that the core reads, pictures of a .sog by Blender here and by Pillow there."""
+    part = slab().take(np.arange(0, len(slab()), 61))
+    path = WRITERS[layout](tmp_path / f"part{get_suffix(layout)}", part)
+    assert bpy.ops.hnf.import_splats(filepath=str(path)) == {"FINISHED"}
+    surface = bpy.context.view_layer.objects.active
+    assert surface.name == "part"
+    found, expected = read_cloud(get_cloud(surface)), read_splats(path)
+    for field in ("means", "scales", "opacities", "harmonics"):
+        np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
+    bpy.context.view_layer.update()
+    up = Vector(open_splat_file(path).up.direction)
+    assert (surface.matrix_world.to_3x3() @ up)[:] == pytest.approx((0.0, 0.0, 1.0), abs=1e-6)
+    assert not bpy.data.images
+
+
+def test_a_damaged_picture_is_named(quick, tmp_path: Path) -> None:
+    path = write_sog(tmp_path / "meta.json", slab().take(np.arange(40)))
+    whole = (tmp_path / "quats.webp").read_bytes()
+    for damage in (b"", b"RIFF", whole[: len(whole) // 2]):
+        (tmp_path / "quats.webp").write_bytes(damage)
+        with pytest.raises(RuntimeError, match=r"picture 'quats\.webp' cannot be read"):
+            bpy.ops.hnf.import_splats(filepath=str(path))
+    assert not bpy.data.images
+
+
+def test_a_reader_in_a_thread_has_the_pictures_of_a_sog(quick, tmp_path: Path) -> None:
+    reading = SplatReader(write_sog(tmp_path / "a.sog", slab().take(np.arange(40))), tmp_path / "cache")
+    wait(reading)
+    assert reading.error is None
+    assert len(reading.result.splats) == 40
+    reading = SplatReader(tmp_path / "gone.sog", tmp_path / "cache")
+    assert reading.is_done
+    assert "No such file" in str(reading.error)
 
 
 def test_no_import_in_edit_mode() -> None:

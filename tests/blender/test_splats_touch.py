@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -30,8 +30,11 @@ from hnf_core.errors import SceneError
 from hnf_core.progress import count_work
 from hnf_core.scene.splats.gaussians import Splats
 from hnf_core.scene.splats.reconstruct import MIN_CELLS, reconstruct_surface
+from hnf_core.scene.splats.splat_file import read_splats
+from reference.splat_layouts import WRITERS, get_suffix
 
 STROKE = ("--stroke", "left-right-soft", "--on", "slab", "--scale", str(METRES))
+COARSE = ("--stroke", "left-right-soft", "--on", "scan", "--scale", str(METRES))
 CELLS = 24
 
 
@@ -98,6 +101,27 @@ def test_a_reconstruction_is_felt_by_the_predicted_route(ran: Ran) -> None:
     assert signal.rms > 0.0
     assert ran.report["skipped"] == []
     assert not any("no real-world size" in warning for warning in ran.report["warnings"])
+
+
+@pytest.fixture(scope="module")
+def coarse(quick, tmp_path_factory) -> Ran:
+    folder = tmp_path_factory.mktemp("coarse")
+    path = coarse_slab_file(folder, "scan.ply", BROWN, WHITE)
+    return Ran(path, folder / "out", *touch(path, folder / "out", *COARSE))
+
+
+@pytest.mark.parametrize("layout", ["spz3", "sog2", "glb"])
+def test_other_layouts_are_felt_the_same(coarse: Ran, layout: str, tmp_path: Path) -> None:
+    """The slab lies as each layout has it: y up, or COLMAP's y down."""
+    up = -1.0 if layout == "sog2" else 1.0
+    flat = read_splats(coarse.path)
+    means = flat.means[:, [0, 2, 1]] * np.array([1.0, up, -up], dtype=np.float32)
+    turned = replace(flat, means=means, scales=flat.scales[:, [0, 2, 1]])
+    path = WRITERS[layout](tmp_path / f"scan{get_suffix(layout)}", turned)
+    code, report = touch(path, tmp_path / "out", *COARSE)
+    assert (coarse.code, code, report["skipped"]) == (0, 0, [])
+    levels = [each["strokes"][0]["rms_m_s2"] for each in (report, coarse.report)]
+    assert levels[0] == pytest.approx(levels[1], rel=0.1)
 
 
 def test_two_materials_in_one_cloud_are_told_apart(tmp_path) -> None:
@@ -264,7 +288,7 @@ def test_a_cached_surface_is_used_if_intact_and_rebuilt_if_not(damage, tmp_path)
         whole, plain = kept.read_bytes(), first.surface
         if damage == "indices":
             shifted = TouchSurface(plain.vertices, plain.triangles + 1, plain.colour, ())
-            reconstruction._save_cached(cache, path, MIN_CELLS, shifted)
+            reconstruction._save_cached(cache, read_splats(path), MIN_CELLS, shifted)
         else:
             kept.write_bytes({"none": whole, "cut": whole[:200], "noise": bytes(range(256))}[damage])
         second = read_reconstruction(path, cache, cells=MIN_CELLS)

@@ -209,6 +209,33 @@ def make_data_image(path: Path) -> Any:
     return image
 
 
+def decode_image(data: bytes, where: str) -> Any:
+    """Decode the bytes of a picture (WebP, PNG …) to an array of uint8, (H, W, 4), the first row on top.
+
+    Blender decodes it, which tells of a damaged one by zeros alone, opacity too: such a picture raises ValueError, with
+    `where` in it.
+    """
+    import bpy
+    import numpy as np
+
+    from ..scene.temp_scene import suppress_output
+
+    image = bpy.data.images.new("splats", 1, 1)
+    try:
+        with suppress_output():
+            image.pack(data=data, data_len=len(data))
+            image.source, image.alpha_mode = "FILE", "CHANNEL_PACKED"
+            image.colorspace_settings.name = "Non-Color"
+            width, height = image.size
+            pixels = np.zeros(len(image.pixels), dtype=np.float32)
+            image.pixels.foreach_get(pixels)
+    finally:
+        bpy.data.images.remove(image)
+    if not pixels.any() or len(pixels) != 4 * width * height:
+        raise ValueError(f"a picture of {where} cannot be decoded")
+    return np.rint(255.0 * pixels).astype(np.uint8).reshape(height, width, 4)[::-1]
+
+
 COPIED_FROM = "hnf_copied_from"
 """ID property of a temporary copy of an image: the name of the original."""
 

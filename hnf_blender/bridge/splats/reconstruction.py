@@ -1,9 +1,9 @@
 """Splat file → surface mesh → Blender objects: the surface that is touched, with the splats as its child.
 
-`read_reconstruction` needs no bpy, so that a thread can run it; surfaces are cached by the file's content. In the
-viewport splats are ellipsoids instanced by Geometry Nodes. Each display stride (every n-th splat is shown) has a node
-group of its own, because Blender 5.2 does not find modifier inputs under the names of 4.2 to 5.0. The native splats of
-Blender 5.3 are not used; no such version was available for tests.
+`read_reconstruction` of an opened file needs no bpy, so that a thread can run it; surfaces are cached by their splats.
+In the viewport splats are ellipsoids instanced by Geometry Nodes. Each display stride (every n-th splat is shown) has a
+node group of its own, because Blender 5.2 does not find modifier inputs under the names of 4.2 to 5.0. The native
+splats of Blender 5.3 are not used; no such version was available for tests.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from hnf_core import __version__
 from hnf_core.files import NPZ_ERRORS, content_hash, write_bytes
 from hnf_core.progress import ProgressCallback, ignore_progress
-from hnf_core.scene.ply import read_ply_header
-from hnf_core.scene.splats.gaussians import C0, Splats
-from hnf_core.scene.splats.io_ply import detect_up_axis, read_splats
+from hnf_core.scene.splats.gaussians import C0, Splats, SplatSource
 from hnf_core.scene.splats.reconstruct import DEFAULT_CELLS, DEFAULT_VIEWS, reconstruct_surface
+from hnf_core.scene.splats.splat_file import open_splat_file, read_splats
 
 from ... import compat
 from ..scene.stored_data import show_vertex_colours
+from ..shader.images import decode_image
 from .splat_cloud import (
     HARMONIC_ATTRIBUTE,
     OPACITY_ATTRIBUTE,
@@ -94,13 +94,14 @@ def read_reconstruction(
     write_cache: bool = True,
     cells: int | None = None,
     progress: ProgressCallback = ignore_progress,
+    source: SplatSource | None = None,
 ) -> Reconstruction:
     """Read a splat file and reconstruct its surface, or load the surface from the cache if it was made before.
 
     Parameters
     ----------
     path : Path
-        Splat file (.ply).
+        Splat file of any layout.
     cache : Path, optional
         Folder of the cache; None neither reads nor writes one.
     write_cache : bool, default True
@@ -109,6 +110,8 @@ def read_reconstruction(
         Grid cells along the longest axis; DEFAULT_CELLS by default.
     progress : callable, optional
         As in `reconstruct_surface`.
+    source : SplatSource, optional
+        The file if it was opened by `open_splats`.
 
     Returns
     -------
@@ -122,28 +125,35 @@ def read_reconstruction(
         If it shows nothing solid.
     """
     cells = DEFAULT_CELLS if cells is None else cells
-    splats = read_splats(path)
-    surface = None if cache is None else _load_cached(cache, path, cells)
+    source = open_splats(path) if source is None else source
+    splats = read_splats(path, source=source)
+    surface = None if cache is None else _load_cached(cache, splats, cells)
     was_cached = surface is not None
     if surface is None:
         result = reconstruct_surface(splats, cells=cells, progress=progress, where=str(path))
         surface = TouchSurface(result.vertices, result.triangles, result.colour, result.quality.warnings)
         if cache is not None and write_cache:
-            _save_cached(cache, path, cells, surface)
+            _save_cached(cache, splats, cells, surface)
     name = path.stem[: -len(COMPRESSED_SUFFIX)] if path.stem.lower().endswith(COMPRESSED_SUFFIX) else path.stem
-    up = detect_up_axis(read_ply_header(path)).direction
-    return Reconstruction(name or path.stem, path.name, up, splats, surface, was_cached)
+    return Reconstruction(name or path.stem, path.name, source.up.direction, splats, surface, was_cached)
 
 
-def _get_cache_path(cache: Path, path: Path, cells: int) -> Path:
+def open_splats(path: Path) -> SplatSource:
+    """Open a splat file in Blender's main thread, which decodes the pictures of a .sog; errors as `open_splat_file`."""
+    return open_splat_file(path, decode_image)
+
+
+def _get_cache_path(cache: Path, splats: Splats, cells: int) -> Path:
     version_key = f"{__version__} {CACHE_VERSION} {cells} {DEFAULT_VIEWS}"
-    return cache / f"{content_hash('reconstruction', version_key, path.read_bytes())}.npz"
+    parts = (splats.means, splats.scales, splats.rotations, splats.opacities, splats.harmonics)
+    digests = [content_hash(part.tobytes()) for part in parts]  # one copy in memory at a time
+    return cache / f"{content_hash('reconstruction', version_key, *digests)}.npz"
 
 
-def _load_cached(cache: Path, path: Path, cells: int) -> TouchSurface | None:
-    """Load the surface of a splat file, made with `cells` grid cells, from the cache; None if missing or damaged."""
+def _load_cached(cache: Path, splats: Splats, cells: int) -> TouchSurface | None:
+    """Load the surface of splats, made with `cells` grid cells, from the cache; None if missing or damaged."""
     try:
-        with np.load(_get_cache_path(cache, path, cells), allow_pickle=False) as data:
+        with np.load(_get_cache_path(cache, splats, cells), allow_pickle=False) as data:
             warnings = tuple(str(line) for line in data["warnings"])
             surface = TouchSurface(data["vertices"], data["triangles"], data["colour"], warnings)
     except NPZ_ERRORS:
@@ -153,7 +163,7 @@ def _load_cached(cache: Path, path: Path, cells: int) -> TouchSurface | None:
     return surface if fits and surface.colour.shape == surface.vertices.shape == (count, 3) else None
 
 
-def _save_cached(cache: Path, path: Path, cells: int, surface: TouchSurface) -> None:
+def _save_cached(cache: Path, splats: Splats, cells: int, surface: TouchSurface) -> None:
     packed = io.BytesIO()
     np.savez(
         packed,
@@ -162,7 +172,7 @@ def _save_cached(cache: Path, path: Path, cells: int, surface: TouchSurface) -> 
         colour=surface.colour,
         warnings=np.array(surface.warnings, dtype=np.str_),
     )
-    write_bytes(_get_cache_path(cache, path, cells), packed.getvalue())
+    write_bytes(_get_cache_path(cache, splats, cells), packed.getvalue())
 
 
 GROUP_NAME = "HNF Splats"

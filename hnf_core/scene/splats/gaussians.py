@@ -7,8 +7,9 @@ Efficient Spherical Harmonic Evaluation).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -154,3 +155,165 @@ def evaluate_sh_colours(harmonics: Floats, directions: Floats) -> Floats:
     for k, value in enumerate(evaluate_sh_basis(directions, degree)):
         total += value[:, None] * harmonics[:, k]
     return np.maximum(total, 0.0)
+
+
+# PlayCanvas's writer clips scales to e^±20 (4.9e8 and 2.1e-9 units) too. Within these limits the squares and products
+# of rendering neither overflow nor vanish in float32.
+MAX_LOG_SCALE = 20.0
+MAX_VALUE = float(np.exp(MAX_LOG_SCALE))
+MIN_QUATERNION_NORM = 1e-12
+NOT_FINITE, TOO_LARGE, NO_ROTATION = "not finite", "too large", "no rotation"
+DROP_REASONS = (NOT_FINITE, TOO_LARGE, NO_ROTATION)
+
+
+@dataclass(frozen=True)
+class RawSplats:
+    """N Gaussians as a file stores them, not yet checked.
+
+    Attributes
+    ----------
+    means, log_scales : ndarray, shape (N, 3)
+        Centres, and natural logarithms of the standard deviations.
+    rotations : ndarray, shape (N, 4)
+        Quaternions w x y z of any length.
+    opacities : ndarray, shape (N,)
+        Opacities in [0, 1].
+    harmonics : ndarray, shape (N, K, 3)
+        Coefficients of the spherical harmonics of color, K = (degree + 1)².
+    """
+
+    means: Floats
+    log_scales: Floats
+    rotations: Floats
+    opacities: Floats
+    harmonics: Floats
+
+
+@dataclass(frozen=True)
+class ValidatedSplats:
+    """Usable splats, and counts of the others.
+
+    Attributes
+    ----------
+    splats : Splats
+        Splats that can be rendered.
+    total : int
+        Number of Gaussians read.
+    dropped : mapping of str to int
+        Number of dropped splats for each of `DROP_REASONS`; each counts once, under the first reason.
+    thickened : int
+        Splats whose thinnest axis was raised to the minimum of 2.1e-9 units.
+    """
+
+    splats: Splats
+    total: int
+    dropped: Mapping[str, int]
+    thickened: int
+
+
+def validate_splats(raw: RawSplats) -> ValidatedSplats:
+    """Return the Gaussians that can be rendered, in their order.
+
+    Dropped are splats with a NaN, or an infinite number other than a log-scale of −∞; with a centre, scale or colour
+    coefficient beyond 4.9e8; or with a quaternion shorter than 1e-12. A scale of 0 is a flat Gaussian: it stays, with
+    the smallest scale allowed.
+    """
+    # Overflow is expected: a float64 beyond float32 becomes infinite, as does the length of a huge quaternion.
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = len(raw.means)
+        finite = ~np.isnan(raw.log_scales).any(axis=1) & ~np.isnan(raw.opacities)
+        finite &= np.isfinite(raw.means).all(axis=1) & np.isfinite(raw.rotations).all(axis=1)
+        finite &= np.isfinite(raw.harmonics).all(axis=(1, 2))
+        in_range = (np.abs(raw.means) <= MAX_VALUE).all(axis=1) & (np.abs(raw.harmonics) <= MAX_VALUE).all(axis=(1, 2))
+        in_range &= (raw.log_scales <= MAX_LOG_SCALE).all(axis=1)
+        lengths = np.linalg.norm(raw.rotations.astype(np.float64), axis=1)
+        has_rotation = (lengths >= MIN_QUATERNION_NORM) & np.isfinite(lengths)
+        dropped = dict(
+            zip(
+                DROP_REASONS,
+                map(_count_true, (~finite, finite & ~in_range, finite & in_range & ~has_rotation)),
+                strict=True,
+            )
+        )
+        usable = finite & in_range & has_rotation
+        logs = raw.log_scales[usable].astype(np.float64)
+        splats = Splats(
+            means=np.ascontiguousarray(raw.means[usable], dtype=np.float32),
+            scales=np.exp(np.maximum(logs, -MAX_LOG_SCALE)).astype(np.float32),
+            rotations=(raw.rotations[usable] / lengths[usable, None]).astype(np.float32),
+            opacities=raw.opacities[usable].astype(np.float32),
+            harmonics=np.ascontiguousarray(raw.harmonics[usable], dtype=np.float32),
+        )
+    return ValidatedSplats(splats, total, dropped, _count_true((logs < -MAX_LOG_SCALE).any(axis=1)))
+
+
+def _count_true(mask: NDArray[np.bool_]) -> int:
+    return int(np.count_nonzero(mask))
+
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+AXES: dict[str, Axis] = {"x": "x", "y": "y", "z": "z", "-x": "-x", "-y": "-y", "-z": "-z"}
+
+
+@dataclass(frozen=True)
+class UpAxis:
+    """The axis of a file's frame that points up, with a sign, and the reason for that guess as a text."""
+
+    axis: Axis
+    reason: str
+
+    @property
+    def direction(self) -> tuple[float, float, float]:
+        """Unit vector of the axis."""
+        sign = -1.0 if self.axis.startswith("-") else 1.0
+        x, y, z = (sign if name == self.axis[-1] else 0.0 for name in "xyz")
+        return x, y, z
+
+
+@dataclass(frozen=True)
+class SplatSource:
+    """An opened splat file of any layout, whose header was checked; its splats are read on demand.
+
+    Attributes
+    ----------
+    count : int
+        Number of splats that the file states.
+    up : UpAxis
+        Axis of the file's frame that points up.
+    iter_raw : callable
+        Takes a number of splats and yields blocks of up to so many.
+    is_complete : bool
+        True if the file is known to be as long as its count says.
+    """
+
+    count: int
+    up: UpAxis
+    iter_raw: Callable[[int], Iterator[RawSplats]]
+    is_complete: bool = True
+
+
+# Indices of the three stored components of a quaternion, by the index of the omitted one.
+REMAINING_COMPONENTS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+
+
+def complete_rotations(stored: Floats, largest: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return unit quaternions (N, 4) of which three components (N, 3) are stored, in order.
+
+    The omitted component, of index `largest` (N,), is positive.
+    """
+    rotations = np.empty((len(stored), 4))
+    np.put_along_axis(rotations, REMAINING_COMPONENTS[largest], stored, axis=1)
+    omitted = np.sqrt(np.maximum(0.0, 1.0 - np.square(stored).sum(axis=1)))
+    np.put_along_axis(rotations, largest[:, None], omitted[:, None], axis=1)
+    return rotations
+
+
+def decode_colours(colours: Floats) -> Floats:
+    """Return the constant harmonic (N, 3) of display-referred colors (N, 3) in [0, 1]."""
+    return np.asarray((colours - 0.5) / C0)
+
+
+def pad_harmonics(harmonics: Floats, count: int) -> Floats:
+    """Return coefficients (N, count, 3): zeros for harmonics that are missing, the highest left out."""
+    kept = harmonics[:, :count]
+    return np.pad(kept, ((0, 0), (0, count - kept.shape[1]), (0, 0)))

@@ -11,113 +11,61 @@ files raise FileError; a few unusable splats are dropped and counted.
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FileError
-from ..ply import PlyHeader, Rows, count_complete_rows, iter_rows, make_truncated_error, read_ply_header
-from .gaussians import C0, Box, Single, Splats
+from ..ply import (
+    PlyHeader,
+    Rows,
+    count_complete_rows,
+    iter_rows,
+    make_damaged_error,
+    make_truncated_error,
+    read_ply_header,
+)
+from .gaussians import (
+    AXES,
+    MAX_LOG_SCALE,
+    RawSplats,
+    SplatSource,
+    UpAxis,
+    complete_rotations,
+    decode_colours,
+)
 
 Real = NDArray[np.floating[Any]]
 
-# PlayCanvas's writer clips scales to e^±20 (4.9e8 and 2.1e-9 units) too. Within these limits the squares and products
-# of rendering neither overflow nor vanish in float32.
-MAX_LOG_SCALE = 20.0
-MAX_VALUE = float(np.exp(MAX_LOG_SCALE))
-MIN_QUATERNION_NORM = 1e-12
-NOT_FINITE, TOO_LARGE, NO_ROTATION = "not finite", "too large", "no rotation"
-DROP_REASONS = (NOT_FINITE, TOO_LARGE, NO_ROTATION)
+
+def open_ply(path: Path) -> SplatSource:
+    """Open splats in a .ply; raise FileError if its header or length shows that it cannot be read."""
+    header = read_ply_header(path)
+    if not header.is_splat:
+        raise make_no_splats_error(path)
+    count = header.count("vertex")
+    if count == 0:
+        raise FileError("holds no splats: it is empty.", where=str(path), remedy="Export it again.")
+    (check_compressed if header.is_compressed else check_inria)(path, header)
+    complete = min(count_complete_rows(path, header, name) for name in ("vertex", "sh") if header.count(name))
+    if complete < count:
+        raise make_truncated_error(path, "vertex", complete, count)
+    iterate = iter_compressed if header.is_compressed else iter_inria
+    return SplatSource(
+        count, detect_up_axis(header), lambda block: iterate(path, header, block), header.format != "ascii"
+    )
 
 
-@dataclass(frozen=True)
-class RawSplats:
-    """N Gaussians as a file stores them, not yet checked.
-
-    Attributes
-    ----------
-    means, log_scales : ndarray, shape (N, 3)
-        Centres, and natural logarithms of the standard deviations.
-    rotations : ndarray, shape (N, 4)
-        Quaternions w x y z of any length.
-    opacities : ndarray, shape (N,)
-        Opacities in [0, 1].
-    harmonics : ndarray, shape (N, K, 3)
-        Coefficients of the spherical harmonics of color, K = (degree + 1)².
-    """
-
-    means: Real
-    log_scales: Real
-    rotations: Real
-    opacities: Real
-    harmonics: Real
-
-
-@dataclass(frozen=True)
-class ValidatedSplats:
-    """Usable splats, and counts of the others.
-
-    Attributes
-    ----------
-    splats : Splats
-        Splats that can be rendered.
-    total : int
-        Number of Gaussians read.
-    dropped : mapping of str to int
-        Number of dropped splats for each of `DROP_REASONS`; each counts once, under the first reason.
-    thickened : int
-        Splats whose thinnest axis was raised to the minimum of 2.1e-9 units.
-    """
-
-    splats: Splats
-    total: int
-    dropped: Mapping[str, int]
-    thickened: int
-
-
-def validate_splats(raw: RawSplats) -> ValidatedSplats:
-    """Return the Gaussians that can be rendered, in their order.
-
-    Dropped are splats with a NaN, or an infinite number other than a log-scale of −∞; with a centre, scale or colour
-    coefficient beyond 4.9e8; or with a quaternion shorter than 1e-12. A scale of 0 is a flat Gaussian: it stays, with
-    the smallest scale allowed.
-    """
-    # Overflow is expected: a float64 beyond float32 becomes infinite, as does the length of a huge quaternion.
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = len(raw.means)
-        finite = ~np.isnan(raw.log_scales).any(axis=1) & ~np.isnan(raw.opacities)
-        finite &= np.isfinite(raw.means).all(axis=1) & np.isfinite(raw.rotations).all(axis=1)
-        finite &= np.isfinite(raw.harmonics).all(axis=(1, 2))
-        in_range = (np.abs(raw.means) <= MAX_VALUE).all(axis=1) & (np.abs(raw.harmonics) <= MAX_VALUE).all(axis=(1, 2))
-        in_range &= (raw.log_scales <= MAX_LOG_SCALE).all(axis=1)
-        lengths = np.linalg.norm(raw.rotations.astype(np.float64), axis=1)
-        has_rotation = (lengths >= MIN_QUATERNION_NORM) & np.isfinite(lengths)
-        dropped = dict(
-            zip(
-                DROP_REASONS,
-                map(_count_true, (~finite, finite & ~in_range, finite & in_range & ~has_rotation)),
-                strict=True,
-            )
-        )
-        usable = finite & in_range & has_rotation
-        logs = raw.log_scales[usable].astype(np.float64)
-        splats = Splats(
-            means=np.ascontiguousarray(raw.means[usable], dtype=np.float32),
-            scales=np.exp(np.maximum(logs, -MAX_LOG_SCALE)).astype(np.float32),
-            rotations=(raw.rotations[usable] / lengths[usable, None]).astype(np.float32),
-            opacities=raw.opacities[usable].astype(np.float32),
-            harmonics=np.ascontiguousarray(raw.harmonics[usable], dtype=np.float32),
-        )
-    return ValidatedSplats(splats, total, dropped, _count_true((logs < -MAX_LOG_SCALE).any(axis=1)))
-
-
-def _count_true(mask: NDArray[np.bool_]) -> int:
-    return int(np.count_nonzero(mask))
+def make_no_splats_error(path: Path) -> FileError:
+    """Return the error for a file of some other content."""
+    return FileError(
+        "holds no Gaussian splats.",
+        where=str(path),
+        remedy="Give splats: a .ply in INRIA's or PlayCanvas's layout, .spz, .sog, .splat, .ksplat or glTF.",
+    )
 
 
 # Properties f_rest_* of degree 0 … 3: three channels of (L + 1)² − 1.
@@ -208,7 +156,7 @@ def _read_log_scales(rows: Rows) -> Real:
 def _read_dc_coefficients(rows: Rows) -> Real:
     if DC_PROPERTIES[0] in (rows.dtype.names or ()):
         return stack_columns(rows, DC_PROPERTIES)
-    return np.asarray((stack_columns(rows, RGB_PROPERTIES) / 255.0 - 0.5) / C0)
+    return decode_colours(stack_columns(rows, RGB_PROPERTIES) / 255.0)
 
 
 _EXPORT_REMEDY = "Export it again as Gaussian splats (INRIA's .ply layout)."
@@ -226,8 +174,6 @@ VECTOR_BITS, COLOUR_BITS, ROTATION_BITS = (
 )
 # Coefficients of harmonics are clipped to ±4: the width of that range.
 HARMONIC_RANGE = 8.0
-# Indices of the three stored components of a quaternion, by the index of the omitted one.
-REMAINING_COMPONENTS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 Float = NDArray[np.float64]
 
@@ -240,19 +186,19 @@ def check_compressed(path: Path, header: PlyHeader) -> None:
     if any(chunk.get(name) not in ("f4", "f8") for name in bounds) or any(
         vertex.get(name) != "u4" for name in PACKED_PROPERTIES
     ):
-        raise _damaged_error(path, "its header names other properties than PlayCanvas's compressed splats have")
+        raise make_damaged_error(path, "its header names other properties than PlayCanvas's compressed splats have")
     count, chunks = header.count("vertex"), header.count("chunk")
     if chunks != -(-count // SPLATS_PER_CHUNK):
-        raise _damaged_error(
+        raise make_damaged_error(
             path,
             f"{count} splats need {-(-count // SPLATS_PER_CHUNK)} chunks of {SPLATS_PER_CHUNK}, and it has {chunks}",
         )
     if "sh" in header.elements:
         names = get_rest_names(path, header.names("sh"))
         if header.count("sh") != count:
-            raise _damaged_error(path, f"it has harmonics of {header.count('sh')} splats for {count} splats")
+            raise make_damaged_error(path, f"it has harmonics of {header.count('sh')} splats for {count} splats")
         if set(header.names("sh")) != set(names) or set(header.types["sh"]) - {"u1"}:
-            raise _damaged_error(path, "its harmonics are not one byte a coefficient")
+            raise make_damaged_error(path, "its harmonics are not one byte a coefficient")
     if count_complete_rows(path, header, "chunk") < chunks:
         raise make_truncated_error(path, "vertex", 0, count)
 
@@ -285,7 +231,7 @@ def _unpack_splats(rows: Rows, bounds: Rows, rest: Float) -> RawSplats:
         log_scales=_interpolate_bounds(bounds, SCALE_BOUNDS, _unpack_fractions(rows["packed_scale"], VECTOR_BITS)),
         rotations=_unpack_rotations(rows["packed_rotation"]),
         opacities=colour[:, 3],
-        harmonics=join_harmonics((rgb - 0.5) / C0, rest),
+        harmonics=join_harmonics(decode_colours(rgb), rest),
     )
 
 
@@ -307,11 +253,7 @@ def _unpack_rotations(words: NDArray[np.uint32]) -> Float:
     """Unpack unit quaternions (N, 4) w x y z from 32-bit words that omit the largest component, which is positive."""
     stored = (_unpack_fractions(words, ROTATION_BITS) - 0.5) * np.sqrt(2.0)
     largest = (words.astype(np.uint32) >> np.uint32(30)).astype(np.intp)
-    rotations = np.empty((len(words), 4))
-    np.put_along_axis(rotations, REMAINING_COMPONENTS[largest], stored, axis=1)
-    omitted = np.sqrt(np.maximum(0.0, 1.0 - np.square(stored).sum(axis=1)))
-    np.put_along_axis(rotations, largest[:, None], omitted[:, None], axis=1)
-    return rotations
+    return complete_rotations(stored, largest)
 
 
 def _unpack_harmonics(rows: Rows) -> Float:
@@ -322,166 +264,8 @@ def _unpack_harmonics(rows: Rows) -> Float:
     return np.asarray((fractions - 0.5) * HARMONIC_RANGE)
 
 
-def _damaged_error(path: Path, why: str) -> FileError:
-    return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")
-
-
-UNSUPPORTED_SUFFIXES = (".spz", ".splat", ".ksplat", ".sog")
-# 32,768 splats of degree 3 are 8 MB in the file.
-ROWS_PER_BLOCK = 1 << 15
-# Training leaves a few broken splats; with more than this fraction, the file is damaged.
-MAX_DROPPED_SHARE = 0.1
-
-
-def read_splats(path: Path, *, within: Box | None = None) -> Splats:
-    """Read the usable Gaussians of a file in their order.
-
-    Parameters
-    ----------
-    path : Path
-        A .ply in INRIA's or PlayCanvas's layout.
-    within : Box or None
-        Keep only splats whose centre lies in this box.
-
-    Returns
-    -------
-    Splats
-        The splats.
-
-    Raises
-    ------
-    FileError
-        If the file is missing, cut short, damaged, of another kind, without splats, or more than a tenth of its splats
-        cannot be used.
-    """
-    return read_validated_splats(path, within=within).splats
-
-
-def read_validated_splats(path: Path, *, within: Box | None = None) -> ValidatedSplats:
-    """Read the usable Gaussians of a file, with the number of dropped ones.
-
-    The counts are of the whole file, even if only splats inside the box `within` are kept. Raises FileError for a file
-    that cannot be used, as `read_splats` does.
-    """
-    path = Path(path)
-    header = check_splat_file(path)
-    # The row count of an ascii file cannot be checked beforehand, so no memory is reserved for it.
-    accumulator = _SplatAccumulator(header.count("vertex") if within is None and header.format != "ascii" else None)
-    total, thickened = 0, 0
-    dropped: Counter[str] = Counter()
-    for block in iter_validated_splats(path, header, ROWS_PER_BLOCK):
-        splats = block.splats
-        accumulator.add(splats if within is None else splats.take(within.contains(splats.means)))
-        total, thickened = total + block.total, thickened + block.thickened
-        dropped.update(block.dropped)
-    return ValidatedSplats(accumulator.to_splats(), total, dict(dropped), thickened)
-
-
-def check_splat_file(path: Path) -> PlyHeader:
-    """Return the header of a splat file; raise FileError if its kind, header or length shows that it cannot be read."""
-    path = Path(path)
-    if path.suffix.lower() in UNSUPPORTED_SUFFIXES:
-        raise FileError(
-            f"splats of kind '{path.suffix.lower()}' are not read.",
-            where=str(path),
-            remedy="Convert it to .ply with SuperSplat or splat-transform.",
-        )
-    header = read_ply_header(path)
-    if not header.is_splat:
-        raise FileError(
-            "holds no Gaussian splats.", where=str(path), remedy="Give a .ply in INRIA's or PlayCanvas's layout."
-        )
-    count = header.count("vertex")
-    if count == 0:
-        raise FileError("holds no splats: it is empty.", where=str(path), remedy="Export it again.")
-    (check_compressed if header.is_compressed else check_inria)(path, header)
-    complete = min(count_complete_rows(path, header, name) for name in ("vertex", "sh") if header.count(name))
-    if complete < count:
-        raise make_truncated_error(path, "vertex", complete, count)
-    return header
-
-
-def iter_validated_splats(path: Path, header: PlyHeader, chunk: int) -> Iterator[ValidatedSplats]:
-    """Read and validate splats in blocks.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : PlyHeader
-        Its header, from `check_splat_file`.
-    chunk : int
-        Rows of the file in one block.
-
-    Yields
-    ------
-    ValidatedSplats
-        The splats of one block.
-
-    Raises
-    ------
-    FileError
-        If an ascii file ends early, or (at the end) more than a tenth of the splats cannot be used.
-    """
-    blocks: Iterator[RawSplats] = (iter_compressed if header.is_compressed else iter_inria)(path, header, chunk)
-    dropped = 0
-    for raw in blocks:
-        validated = validate_splats(raw)
-        dropped += sum(validated.dropped.values())
-        yield validated
-    count = header.count("vertex")
-    if dropped > MAX_DROPPED_SHARE * count:
-        raise FileError(
-            f"is damaged: {dropped} of its {count} splats cannot be used.",
-            where=str(path),
-            remedy="Export or download it again.",
-        )
-
-
-class _SplatAccumulator:
-    """Splats concatenated block by block; arrays are preallocated if `capacity`, the number of splats, is given."""
-
-    def __init__(self, capacity: int | None) -> None:
-        self._capacity, self._count = capacity, 0
-        self._fields: tuple[Single, ...] = ()
-        self._blocks: list[tuple[Single, ...]] = []
-
-    def add(self, splats: Splats) -> None:
-        block = (splats.means, splats.scales, splats.rotations, splats.opacities, splats.harmonics)
-        if self._capacity is None:
-            self._blocks.append(block)
-            return
-        if not self._fields:
-            self._fields = tuple(np.empty((self._capacity, *part.shape[1:]), dtype=np.float32) for part in block)
-        for field, part in zip(self._fields, block, strict=True):
-            field[self._count : self._count + len(part)] = part
-        self._count += len(splats)
-
-    def to_splats(self) -> Splats:
-        if self._capacity is None:
-            return Splats(*map(np.concatenate, zip(*self._blocks, strict=True)))
-        return Splats(*(field[: self._count] for field in self._fields))
-
-
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
-AXES: dict[str, Axis] = {"x": "x", "y": "y", "z": "z", "-x": "-x", "-y": "-y", "-z": "-z"}
 # nerfstudio's exporter (scripts/exporter.py) writes 'Vertical Axis: z'.
 UP_AXIS_COMMENT = re.compile(r"vertical axis:\s*\+?(-?[xyz])\s*$", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class UpAxis:
-    """The axis of a file's frame that points up, with a sign, and the reason for that guess as a text."""
-
-    axis: Axis
-    reason: str
-
-    @property
-    def direction(self) -> tuple[float, float, float]:
-        """Unit vector of the axis."""
-        sign = -1.0 if self.axis.startswith("-") else 1.0
-        x, y, z = (sign if name == self.axis[-1] else 0.0 for name in "xyz")
-        return x, y, z
 
 
 def detect_up_axis(header: PlyHeader) -> UpAxis:

@@ -14,8 +14,8 @@ from splat_files import floats, inria_columns, ply_bytes, random_splats, write_c
 from data_tools.write_splats import write_inria
 from hnf_core.errors import FileError
 from hnf_core.scene.ply import read_ply_header
-from hnf_core.scene.splats import io_ply
-from hnf_core.scene.splats.io_ply import check_splat_file, iter_validated_splats, read_splats, read_validated_splats
+from hnf_core.scene.splats import splat_file
+from hnf_core.scene.splats.splat_file import iter_validated_splats, open_splat_file, read_splats, read_validated_splats
 
 
 def in_a_folder(examples: int) -> settings:
@@ -105,7 +105,7 @@ def test_more_broken_splats_than_a_tenth_are_a_broken_file(tmp_path: Path) -> No
     columns["z"][60] = np.nan
     path.write_bytes(ply_bytes([("vertex", floats(columns))]))
     assert "11 of its 100 splats cannot be used" in str(refusal(path))
-    readings = iter_validated_splats(path, check_splat_file(path), 10)
+    readings = iter_validated_splats(path, open_splat_file(path), 10)
     assert [sum(next(readings).dropped.values()) for _ in range(10)] == [0] * 5 + [10, 1, 0, 0, 0]
     with pytest.raises(FileError, match="11 of its 100"):
         next(readings)
@@ -129,7 +129,7 @@ def test_a_cut_file_says_how_much_is_there(whole: dict[str, Path], tmp_path: Pat
     assert f"is cut short: {there} of its 300 splats are there." in str(refusal(path))
     if layout != "ascii":  # whose end only reading finds
         with pytest.raises(FileError, match="cut short"):
-            check_splat_file(path)
+            open_splat_file(path)
 
 
 def sound_or_refused(path: Path) -> None:
@@ -212,7 +212,7 @@ def test_an_absurd_count_of_an_ascii_file_takes_no_room(
     whole: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not even once some of it was found to be there."""
-    monkeypatch.setattr(io_ply, "ROWS_PER_BLOCK", 100)
+    monkeypatch.setattr(splat_file, "ROWS_PER_BLOCK", 100)
     path = tmp_path / "a.ply"
     path.write_bytes(whole["ascii"].read_bytes().replace(b"vertex 300", b"vertex 999999999999999999"))
     assert "cut short: 300 of its 999999999999999999" in str(refusal(path))
@@ -241,10 +241,10 @@ def test_compressed_headers_that_do_not_fit_are_refused(
     assert message in str(refusal(path))
 
 
-@pytest.mark.parametrize("suffix", [".spz", ".splat", ".ksplat", ".sog", ".SPZ"])
-def test_other_kinds_say_what_to_convert_them_with(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize("suffix", [".spz", ".splat", ".ksplat", ".sog", ".SPZ", ".glb", ".gltf"])
+def test_a_name_alone_makes_no_splats(tmp_path: Path, suffix: str) -> None:
     (tmp_path / f"a{suffix}").write_bytes(b"anything")
-    assert "SuperSplat or splat-transform" in refusal(tmp_path / f"a{suffix}").remedy
+    assert "damaged" in str(refusal(tmp_path / f"a{suffix}"))
 
 
 def test_missing_files_and_folders_are_named(tmp_path: Path) -> None:
@@ -269,7 +269,7 @@ def test_memory_follows_the_block_and_not_the_file(tmp_path: Path) -> None:
     with path.open("wb") as stream:
         stream.write(head.replace(b"vertex 2000", b"vertex 1000000") + end + data)
         stream.truncate(stream.tell() + len(data) * 499)
-    blocks = iter_validated_splats(path, check_splat_file(path), 1000)
+    blocks = iter_validated_splats(path, open_splat_file(path), 1000)
     tracemalloc.start()
     first = [next(blocks).splats for _ in range(2)]
     peak = tracemalloc.get_traced_memory()[1]
@@ -287,7 +287,7 @@ def test_a_stream_of_blocks_holds_one_at_a_time(tmp_path: Path, layout: str) -> 
 
     def peak(chunk: int) -> int:
         tracemalloc.start()
-        count = sum(len(reading.splats) for reading in iter_validated_splats(path, check_splat_file(path), chunk))
+        count = sum(len(reading.splats) for reading in iter_validated_splats(path, open_splat_file(path), chunk))
         _, highest = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert count == 4000

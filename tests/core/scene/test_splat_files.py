@@ -22,10 +22,10 @@ from data_tools.write_splats import write_inria
 from hnf_core.errors import UsageError
 from hnf_core.scene.ply import PlyHeader, read_ply_header
 from hnf_core.scene.splats.gaussians import Box, Splats
-from hnf_core.scene.splats.io_ply import (
-    check_splat_file,
-    detect_up_axis,
+from hnf_core.scene.splats.io_ply import detect_up_axis
+from hnf_core.scene.splats.splat_file import (
     iter_validated_splats,
+    open_splat_file,
     read_splats,
     read_validated_splats,
 )
@@ -182,9 +182,7 @@ CLIPPED = (-0.5 / C0, 0.5 / C0)
 @given(chunk=st.integers(1, 700))
 def test_blocks_of_any_size_are_the_whole(files: dict[str, Path], layout: str, chunk: int) -> None:
     chunk = max(chunk, 10 if layout == "ascii" else 3)
-    pieces = [
-        reading.splats for reading in iter_validated_splats(files[layout], check_splat_file(files[layout]), chunk)
-    ]
+    pieces = [reading.splats for reading in iter_validated_splats(files[layout], open_splat_file(files[layout]), chunk)]
     assert [len(piece) for piece in pieces[:-1]] == [chunk] * (len(pieces) - 1)
     same(joined(pieces), read_splats(files[layout]))
 

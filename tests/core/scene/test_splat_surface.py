@@ -19,7 +19,6 @@ from hnf_core.scene.splats.depth_views import (
     make_surrounding_cameras,
     sample_points,
 )
-from hnf_core.scene.splats.io_ply import read_splats
 from hnf_core.scene.splats.rasterize import SplatView
 from hnf_core.scene.splats.reconstruct import (
     MAX_RAGGED_SHARE,
@@ -30,6 +29,7 @@ from hnf_core.scene.splats.reconstruct import (
     compute_open_edge_share,
     reconstruct_surface,
 )
+from hnf_core.scene.splats.splat_file import read_splats
 from hnf_core.units import srgb_to_linear
 
 SPLATS = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "splats"

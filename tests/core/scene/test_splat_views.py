@@ -15,8 +15,8 @@ from hnf_core.errors import UsageError
 from hnf_core.progress import count_work
 from hnf_core.scene.camera import Camera, orthographic
 from hnf_core.scene.splats import rasterize
-from hnf_core.scene.splats.io_ply import read_splats
 from hnf_core.scene.splats.rasterize import render_splats
+from hnf_core.scene.splats.splat_file import read_splats
 from reference.splat_rendering import render_reference
 
 GUITAR = Path(__file__).resolve().parents[4] / "shared" / "data" / "splats" / "guitar.compressed.ply"

@@ -37,7 +37,7 @@ def measure_splats(options: BenchOptions) -> list[Row]:
     pixels = QUICK_PIXELS if options.quick else PIXELS
     rows = _measure_cloud("ball", make_ball(QUICK_SPLAT_COUNT if options.quick else SPLAT_COUNT), pixels, options)
     if options.scene is not None:
-        from hnf_core.scene.splats.io_ply import read_splats
+        from hnf_core.scene.splats.splat_file import read_splats
 
         rows += _measure_cloud(options.scene.stem.partition(".")[0], read_splats(options.scene), pixels, options)
     return rows
