@@ -151,7 +151,8 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -
             f"--fit with {'another scale' if form.scaled else f'the format {form.word!r}, which keeps m/s²'}.",
             remedy="Leave one of them out.",
         )
-    if not is_wav and (load := find_loader(arguments.file)) is not None and form.store is not None:
+    load = None if is_wav or arguments.scene is not None else find_loader(arguments.file)
+    if load is not None and form.store is not None:
         return _convert(arguments, load, form, full_scale, range_hz)
     if form.fit is not None and full_scale is not None:
         raise UsageError(

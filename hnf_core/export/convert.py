@@ -17,7 +17,7 @@ from ..errors import FileError
 from ..field.resampling import MAX_RATE_HZ
 from ..files import suggest_other_path
 from ..signal import Signal
-from .envelope import CLIPPED_PREFIX, refine_envelope
+from .envelope import CLIPPED_PREFIX, Envelope, refine_envelope
 from .fidelity import ConversionLoss, format_loss_table, measure_loss
 from .formats import FOREIGN_LOADERS, Format, format_of_file
 from .gltf import GENERATOR, MAX_READ_BYTES, decode_glb
@@ -232,9 +232,22 @@ def convert_envelope(
     dropped = form.store(path, refine_envelope(clip.envelope), before, options)
     written = form.load(path, ImportOptions(rate_hz=rate)).envelope
     dropped += (_describe_clicks(len(clip.envelope.emphases), len(written.emphases)),)
+    dropped += (_describe_frequencies(clip.envelope, written, options.range_hz),)
     loss = measure_loss(before, form.read(path, ImportOptions(rate_hz=rate)), tuple(filter(None, dropped)))
     write_sidecar(path, form.word, before, options, loss.to_json())
     return ExportResult(path, form, options, loss)
+
+
+def _describe_frequencies(before: Envelope, after: Envelope, range_hz: tuple[float, float]) -> str:
+    """Return a sentence on frequencies that the format bounded to its range, or ""."""
+    ends = [(float(each.frequency.min()), float(each.frequency.max())) for each in (before, after)]
+    low, high = range_hz
+    if (low <= ends[0][0] and ends[0][1] <= high) or ends[1][0] < 0.99 * low or ends[1][1] > 1.01 * high:
+        return ""
+    return (
+        f"Frequencies beyond {low:g} … {high:g} Hz, which 0 … 1 stand for here: it has {ends[0][0]:g} … "
+        f"{ends[0][1]:g} Hz. --range LOW HIGH holds more."
+    )
 
 
 def _describe_clicks(before: int, after: int) -> str:

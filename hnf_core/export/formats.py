@@ -36,6 +36,7 @@ from .foreign_clips import load_haps, load_tact
 from .gltf import read_glb, write_glb
 from .haptic import load_haptic, read_haptic, store_haptic, write_haptic
 from .hjif import read_hjif, write_hjif
+from .hjif_envelope import load_hjif, store_hjif
 from .options import ExportOptions, ImportOptions
 from .provenance import EnvelopeFile
 from .wav import LISTEN_FORMAT as LISTEN
@@ -74,7 +75,7 @@ class Format:
     fit : callable or None
         Derives the full scale from the signal itself; None if the options state it.
     load, store : callable or None
-        Reader and writer of the envelope itself, of formats that hold one; None for `store` if it is only read.
+        Reader and writer of the envelope itself, of formats that can hold one.
     """
 
     word: str
@@ -147,7 +148,7 @@ FORMATS: dict[str, Format] = {
             "hjif", ".hjif", "MPEG haptics (ISO/IEC 23090-31): the vibration; given the surface, with its vertices",
             "what MPEG's reference software reads and checks (`IOJson.cpp`, `IOCompatibility.h`); not against its JSON "
             "schema, which is not public, and not played by it",
-            write_hjif, read_hjif, surface=True,
+            write_hjif, read_hjif, surface=True, load=load_hjif, store=store_hjif,
         ),
         Format(
             "glb", ".glb", "glTF: the touched mesh, what is baked on it as MPEG_haptic_material, and the signal",

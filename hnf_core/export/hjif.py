@@ -14,6 +14,8 @@ scale in m/s², seed and provenance are JSON in the three descriptions (at most 
   those under the stroke, in the mesh that the avatar names: NAME.hjif.glb, written next to it. timescale is the mean
   speed in ticks per second, so a player that supports only time plays it at that speed.
 
+`hjif_envelope.py` writes and reads strength, frequency and clicks instead.
+
 Reading: files written here, and of other files bands of the types Curve, VectorialWave and Transient. They are rendered
 as the reference software's synthesizer does (Types/src/Band.cpp, Types/src/Effect.cpp), with a chirp's phase as the
 exact integral of its frequency.
@@ -177,7 +179,49 @@ def encode_hjif(
         raise FileError(why, where=where, remedy=_REMEDY)
     full_scale_m_s2 = options.full_scale_m_s2
     gain = max(1.0, float(np.abs(samples).max(initial=0.0)) / full_scale_m_s2)
-    file_facts = {"hnf": __version__, "units": UNITS, "full_scale": full_scale_m_s2, "seed": signal.seed}
+    bands = [_encode_band(samples / (full_scale_m_s2 * gain), rate)]
+    return encode_tree(signal, options, bands, gain, rate=rate, count=len(samples), date=date, texture=texture)
+
+
+def encode_tree(
+    signal: Signal,
+    options: ExportOptions,
+    bands: list[dict[str, Any]],
+    gain: float,
+    *,
+    rate: int,
+    count: int,
+    date: str,
+    texture: VibrotactileTexture | None = None,
+    facts: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Return the JSON tree around the bands of one channel.
+
+    Parameters
+    ----------
+    signal : Signal
+        Signal whose seed and provenance are stated.
+    options : ExportOptions
+        Full scale and range.
+    bands : list of dict
+        Bands, in fractions of full scale over `gain`.
+    gain : float
+        Gain of the channel.
+    rate, count : int
+        Ticks and samples per second, and the number of samples.
+    date : str
+        Date in ISO 8601.
+    texture : VibrotactileTexture or None
+        Texture that the bands are, if they lie along a way.
+    facts : mapping, optional
+        Further facts of the file's description.
+
+    Returns
+    -------
+    dict
+        The JSON tree.
+    """
+    file_facts = {"hnf": __version__, "units": UNITS, "full_scale": options.full_scale_m_s2, "seed": signal.seed}
     channel: dict[str, Any] = {
         "id": 0,
         "description": _truncate_text(signal.provenance.get("stroke", "")),
@@ -186,8 +230,8 @@ def encode_hjif(
         "body_part_mask": 0,
         "reference_device_id": 0,
         "frequency_sampling": rate,
-        "sample_count": len(samples),
-        "bands": [_encode_band(samples / (full_scale_m_s2 * gain), rate)],
+        "sample_count": count,
+        "bands": bands,
     }
     perception: dict[str, Any] = {
         "id": 0,
@@ -212,7 +256,7 @@ def encode_hjif(
         "profile": PROFILE,
         "level": LEVEL,
         "date": date,
-        "description": _dump_compact_json(file_facts),
+        "description": _dump_compact_json(file_facts | dict(facts or {})),
         "timescale": rate,
         "avatars": avatars,
         "perceptions": [perception],
@@ -461,6 +505,11 @@ _WAVEFORMS: dict[str, Callable[[Float], Float]] = {
 }
 
 
+def is_sine(shape: str) -> bool:
+    """Return True for the waveform of a sine, which an unknown one is taken for too."""
+    return _WAVEFORMS.get(shape, _sine) is _sine
+
+
 DEFAULT_TIMESCALE = 1000
 MAX_TICKS = 2**31 - 1
 MAX_READ_SAMPLES = 20_000_000
@@ -480,12 +529,65 @@ class _StatedScale:
     seed: int
 
 
+@dataclass(frozen=True)
+class HjifChannel:
+    """One channel of a .hjif file.
+
+    Attributes
+    ----------
+    effects : list of (str, EffectKeyframes)
+        Type of the band, and an effect in it.
+    ticks : TickGrid
+        Its time grid.
+    unit_m_s2 : float
+        Acceleration that an amplitude of 1 stands for, gain included [m/s²].
+    seed : int
+        Seed of the signal's carriers.
+    scale_m_s2 : float
+        Full scale [m/s²].
+    is_stated : bool
+        Whether the file states its scale.
+    provenance : dict of str
+        Provenance that the file states, or what was assumed.
+    tree, perception : dict
+        The file's JSON, and the part of it with the channel.
+    """
+
+    effects: list[tuple[str, EffectKeyframes]]
+    ticks: TickGrid
+    unit_m_s2: float
+    seed: int
+    scale_m_s2: float
+    is_stated: bool
+    provenance: dict[str, str]
+    tree: dict[str, Any]
+    perception: dict[str, Any]
+
+    def render(self, where: str, *kinds: str) -> Signal:
+        """Render the effects in bands of these types, in m/s²; FileError if a sample is beyond float32."""
+        relative = np.zeros(self.ticks.count)
+        for band, effect in self.effects:
+            if band in kinds:
+                first, values = BAND_RENDERERS[band](effect, self.ticks)
+                relative[first : first + len(values)] += values
+        with np.errstate(over="ignore"):
+            samples = np.asarray(relative * self.unit_m_s2, dtype=np.float32)
+        if not np.isfinite(samples).all():
+            raise JsonReader(Path(where)).make_error("some samples are beyond all measure")
+        return Signal(samples, float(self.ticks.rate), self.seed, self.provenance)
+
+
 def read_hjif(path: Path, options: ImportOptions) -> Signal:
     """Read the file's one channel in m/s², at the rate that it states, else at that of `options`.
 
     A texture is played at the speed that the file's timescale implies. Raises FileError if the file breaks the format,
     or has several channels or bands of another type.
     """
+    return read_channel(path, options).render(str(path), *BAND_RENDERERS)
+
+
+def read_channel(path: Path, options: ImportOptions) -> HjifChannel:
+    """Read the file's one channel, or the one that `options` names; raise FileError as `read_hjif`."""
     tree, reading = read_json(path), JsonReader(path)
     perceptions = [
         (record, reading.get_array(_require_object(reading, record), "channels"))
@@ -498,7 +600,7 @@ def read_hjif(path: Path, options: ImportOptions) -> Signal:
     if options.channel is None and len(channels_found) > 1:
         raise reading.make_error(
             f"has {len(channels_found)} channels, and a vibration has one",
-            f"Choose one: --channel 1 … {len(channels_found)}.",
+            f"Choose one: hnf import --channel 1 … {len(channels_found)}.",
         )
     perception, channel = channels_found[number - 1][0], _require_object(reading, channels_found[number - 1][1])
     modality = perception.get("perception_modality", "Vibrotactile")
@@ -518,19 +620,20 @@ def read_hjif(path: Path, options: ImportOptions) -> Signal:
     count = _read_integer(reading, channel, "sample_count", 0, MAX_TICKS, max(last_sample + 1, 0))
     if count > MAX_READ_SAMPLES:
         raise reading.make_error(f"lasts {count / rate:.0f} s, more than can be held")
-    ticks = TickGrid(count, rate, timescale)
-    relative = np.zeros(count)
-    for band, effect in effects:
-        first, values = BAND_RENDERERS[band](effect, ticks)
-        relative[first : first + len(values)] += values
     exponent = _read_integer(reading, perception, "perception_unit_exponent", -128, 127, 0)
     gain = _read_default(reading, channel, "gain", -MAX_GAIN, MAX_GAIN, 1.0) * 10.0**exponent
     scale = _read_scale(tree.get("description"), options)
-    with np.errstate(over="ignore"):
-        samples = np.asarray(relative * (gain * scale.full_scale), dtype=np.float32)
-    if not np.isfinite(samples).all():
-        raise reading.make_error("some samples are beyond all measure")
-    return Signal(samples, float(rate), scale.seed, _make_provenance(path, perception, scale))
+    return HjifChannel(
+        effects=effects,
+        ticks=TickGrid(count, rate, timescale),
+        unit_m_s2=gain * scale.full_scale,
+        seed=scale.seed,
+        scale_m_s2=scale.full_scale,
+        is_stated=scale.is_stated,
+        provenance=_make_provenance(path, perception, scale),
+        tree=tree,
+        perception=perception,
+    )
 
 
 def _iter_effects(

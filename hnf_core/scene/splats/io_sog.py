@@ -38,7 +38,7 @@ COEFFICIENT_COUNTS = (3, 8, 15)
 FIRST_TAG = 252
 TABLE_SIZE = 256
 ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, KeyError, EOFError, NotImplementedError, RuntimeError, ValueError)
-"""What the standard library raises for a damaged or encrypted archive."""
+"""Errors of the standard library for a damaged or encrypted archive."""
 
 
 @dataclass(frozen=True)

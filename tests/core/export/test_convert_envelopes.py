@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hjif_rules import check_hjif
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -69,6 +70,11 @@ SIMULTANEOUS_CLICKS = make_haptic_file((0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (0.02, 
 CLICK_AFTER_A_RAMP = make_haptic_file((0.0, 0.0, 0.0), (0.02, 0.728, 0.0), (0.02, 0.0, 0.0), (0.02, 0.0, 0.5))
 CLICK_BELOW_A_RISING_TONE = make_haptic_file((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.125), (0.02, 0.628, 0.0))
 
+STEPS_AT_THE_END = make_haptic_file((0.02, 0.001, 0.0), (0.02, 0.001, 0.0), (0.02, 0.0, 0.0))
+STEPS_AT_THE_END["signals"]["continuous"]["envelopes"]["frequency"] = [
+    {"time": 0.02, "frequency": share} for share in (0.0, 0.001, 0.0)
+]
+
 
 def convert(source: Path, word: str, target: Path):
     clip = find_loader(source)(source, OPTIONS)
@@ -76,11 +82,28 @@ def convert(source: Path, word: str, target: Path):
     return convert_envelope(clip, source, FORMATS[word], target, options)
 
 
-@settings(max_examples=60)
+WAYS = [
+    ("ahap", "haptic"),
+    ("haptic", "ahap"),
+    ("ahap", "ahap", "haptic"),
+    ("hjif", "haptic"),
+    ("hjif", "ahap"),
+    ("ahap", "hjif", "haptic"),
+    ("hjif", "hjif", "haptic"),
+    ("hjif", "ahap", "hjif"),
+]
+
+
+@settings(max_examples=100, deadline=None)
 @example(SIMULTANEOUS_CLICKS, ("ahap", "haptic"))
 @example(CLICK_AFTER_A_RAMP, ("ahap", "haptic"))
 @example(CLICK_BELOW_A_RISING_TONE, ("ahap", "haptic"))
-@given(haptic_files(), st.sampled_from([("ahap", "haptic"), ("haptic", "ahap"), ("ahap", "ahap", "haptic")]))
+@example(SIMULTANEOUS_CLICKS, ("hjif", "haptic"))
+@example(CLICK_AFTER_A_RAMP, ("hjif", "ahap"))
+@example(CLICK_BELOW_A_RISING_TONE, ("ahap", "hjif", "haptic"))
+@example(STEPS_AT_THE_END, ("hjif", "haptic"))
+@example(make_haptic_file((0.0, 0.0, 0.5), (0.0, 0.0, 0.0), (0.02, 0.0, 0.0), (0.02, 0.156, 0.0)), ("hjif", "ahap"))
+@given(haptic_files(), st.sampled_from(WAYS))
 def test_clicks_level_and_duration_survive(tmp_path_factory, record, way):
     folder = tmp_path_factory.mktemp("way")
     path = folder / "source.haptic"
@@ -103,7 +126,8 @@ def test_clicks_level_and_duration_survive(tmp_path_factory, record, way):
         assert new.time_s == pytest.approx(old.time_s, abs=5e-3)
 
 
-def test_levels_and_frequencies_of_clicks(tmp_path):
+@pytest.mark.parametrize("way", [("ahap",), ("hjif",), ("hjif", "ahap"), ("ahap", "hjif")])
+def test_levels_and_frequencies_of_clicks(tmp_path, way):
     clicks = tuple(Emphasis(0.1 + 0.05 * index, 3.0 + index, 100.0 + 50.0 * index) for index in range(10))
     envelope = Envelope(np.array([0.0, 1.0]), np.array([2.0, 1.0]), np.array([80.0, 300.0]), clicks)
     refined = Envelope(
@@ -113,8 +137,11 @@ def test_levels_and_frequencies_of_clicks(tmp_path):
     envelope = Envelope(time, np.interp(time, [0, 1], [2.0, 1.0]), np.interp(time, [0, 1], [80.0, 300.0]), clicks)
     record, _ = encode_haptic(envelope, ExportOptions(30.0, (20.0, 1000.0)))
     (tmp_path / "a.haptic").write_text(json.dumps(record))
-    convert(tmp_path / "a.haptic", "ahap", tmp_path / "b.ahap")
-    found = find_loader(tmp_path / "b.ahap")(tmp_path / "b.ahap", OPTIONS).envelope.emphases
+    source = tmp_path / "a.haptic"
+    for word in way:
+        convert(source, word, tmp_path / f"b.{word}")
+        source = tmp_path / f"b.{word}"
+    found = find_loader(source)(source, OPTIONS).envelope.emphases
     assert len(found) == len(clicks)
     for old, new in zip(clicks, found, strict=True):
         assert abs(20 * np.log10(new.amplitude / old.amplitude)) < 0.1
@@ -238,6 +265,136 @@ def test_hjif_with_what_the_reference_software_leaves_out(tmp_path):
     tree["perceptions"][0] |= {"perception_modality": "Temperature", "channels": channels[:1]}
     with pytest.raises(FileError, match="Temperature"):
         import_signal(write_json(tmp_path / "c.hjif", tree), OPTIONS)
+
+
+def write_hjif_bands(path: Path, *bands: dict, **channel) -> Path:
+    """Write a .hjif of another program, with ticks of 1 ms."""
+    perception = {"perception_modality": "Vibrotactile", "channels": [{"bands": list(bands), **channel}]}
+    return write_json(path, {"perceptions": [perception]})
+
+
+def make_hjif_band(kind: str, *keyframes: tuple, start: int = 0, shape: str = "Sine") -> dict:
+    """Return a band of one effect; a keyframe is (tick, amplitude or None, frequency or None)."""
+    names = ("relative_position", "amplitude_modulation", "frequency_modulation")
+    rows = [{name: value for name, value in zip(names, row, strict=False) if value is not None} for row in keyframes]
+    effect = {"effect_type": "Basis", "position": start, "base_signal": shape, "keyframes": rows}
+    return {"band_type": kind, "effects": [effect]}
+
+
+WAVE = make_hjif_band("VectorialWave", (0, 0.5, 100), (200, None, 200), (500, 0.25, None), start=100)
+TRANSIENTS = make_hjif_band("Transient", (0, 1.0), (400, 0.5, 250), (800, 0.0), start=50)
+
+
+def test_foreign_hjif_keeps_its_clicks_and_its_tone(tmp_path):
+    path = write_hjif_bands(tmp_path / "a.hjif", WAVE, TRANSIENTS)
+    clip = find_loader(path)(path, OPTIONS)
+    envelope = clip.envelope
+    assert [(click.time_s, click.amplitude) for click in envelope.emphases] == [(0.05, 30.0), (0.45, 15.0)]
+    assert [click.frequency_hz for click in envelope.emphases] == pytest.approx([90.9, 250.0], rel=1e-3)
+    assert np.interp([0.05, 0.35, 0.65], envelope.time, envelope.amplitude) == pytest.approx([0.0, 11.25, 0.0])
+    assert np.interp([0.2, 0.5], envelope.time, envelope.frequency) == pytest.approx([150.0, 200.0])
+    assert "the file states none" in clip.facts["assumed"]
+    for word in ("haptic", "ahap"):
+        convert(path, word, tmp_path / f"b.{word}")
+        found = FORMATS[word].load(tmp_path / f"b.{word}", OPTIONS).envelope
+        assert [click.time_s for click in found.emphases] == pytest.approx([0.05, 0.45], abs=5e-3)
+        assert found.duration_s == pytest.approx(envelope.duration_s, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "bands",
+    [
+        [make_hjif_band("Curve", *((at, 0.4 * (-1) ** at) for at in range(600)))],
+        [WAVE, make_hjif_band("VectorialWave", (0, 0.5, 80), (600, 0.5, 80))],
+        [make_hjif_band("VectorialWave", (0, 0.5, 100), (600, 0.5, 100), shape="Square")],
+        [make_hjif_band("VectorialWave", (0, -0.5, 100), (600, 0.5, 100))],
+    ],
+    ids=["curve", "two at a time", "square", "negative"],
+)
+def test_what_is_no_single_sine_is_measured_and_its_clicks_are_kept(tmp_path, bands):
+    path = write_hjif_bands(tmp_path / "a.hjif", *bands, TRANSIENTS, frequency_sampling=10_000)
+    clip = find_loader(path)(path, OPTIONS)
+    assert "measured" in clip.facts["assumed"]
+    times = [click.time_s for click in clip.envelope.emphases]
+    assert {0.05, 0.45} <= {round(time, 3) for time in times}
+    plain = import_signal(write_hjif_bands(tmp_path / "b.hjif", *bands, frequency_sampling=10_000), OPTIONS)
+    tone = render_envelope(replace(clip.envelope, emphases=()), 10_000, 0)
+    energies = [float(np.sum(np.square(samples.astype(np.float64)))) for samples in (plain.samples, tone)]
+    # The strength never exceeds the peak, so that a square wave comes back as a sine of its height: 3 dB less.
+    lost_db = 3.0 if bands[0]["effects"][0]["base_signal"] == "Square" else 0.0
+    assert 10 * np.log10(energies[0] / energies[1]) == pytest.approx(lost_db, abs=0.5)
+
+
+def test_a_hjif_of_clicks_alone_and_one_of_nothing(tmp_path):
+    path = write_hjif_bands(tmp_path / "a.hjif", TRANSIENTS)
+    clip = find_loader(path)(path, OPTIONS)
+    assert not clip.envelope.amplitude.any()
+    assert clip.envelope.duration_s == pytest.approx(0.872, abs=2e-3)
+    assert len(clip.envelope.emphases) == 2
+    result = convert(path, "haptic", tmp_path / "a.haptic")
+    assert len(FORMATS["haptic"].load(result.path, OPTIONS).envelope.emphases) == 2
+    with pytest.raises(FileError, match="plays nothing"):
+        find_loader(path)(write_hjif_bands(path), OPTIONS)
+
+
+@settings(max_examples=40, deadline=None)
+@given(haptic_files(), st.data())
+def test_damaged_hjif_is_refused_or_read(tmp_path_factory, record, data):
+    folder = tmp_path_factory.mktemp("damage")
+    (folder / "a.haptic").write_text(json.dumps(record))
+    if load_haptic(folder / "a.haptic", OPTIONS).envelope.duration_s < 0.02:
+        return
+    path = convert(folder / "a.haptic", "hjif", folder / "a.hjif").path
+    check_hjif(json.loads(path.read_text()))
+    changed = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 6))):
+        changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.sampled_from(b'0919-.e"{}[],:'))
+    path.write_bytes(changed)
+    refusal = None
+    try:
+        clip = find_loader(path)(path, OPTIONS)
+    except FileError as error:
+        refusal = str(error)
+    if refusal is not None:
+        assert str(path) in refusal
+        assert "\n" not in refusal
+    else:
+        assert np.isfinite(clip.envelope.amplitude).all()
+        assert (np.diff(clip.envelope.time) > 0).all()
+        assert clip.envelope.frequency.min() > 0
+
+
+def test_a_long_hjif_is_of_effects_that_go_on(tmp_path):
+    """An effect counts 65,535 ticks; the tone keeps its phase from one to the next."""
+    record = make_haptic_file((0.0, 0.5, 0.0), (2.0, 0.5, 1.0), (29.0, 0.5, 1.0), (30.0, 0.5, 0.0))
+    (tmp_path / "a.haptic").write_text(json.dumps(record))
+    path = convert(tmp_path / "a.haptic", "hjif", tmp_path / "a.hjif").path
+    tree = json.loads(path.read_text())
+    check_hjif(tree)
+    assert len(tree["perceptions"][0]["channels"][0]["bands"][0]["effects"]) > 5
+    found = find_loader(path)(path, OPTIONS).envelope
+    assert found.amplitude == pytest.approx(np.full(len(found.time), 15.0))
+    assert [click.time_s for click in found.emphases] == [2.0, 29.0]
+    tone = import_signal(path, OPTIONS).samples[3000:19_000].astype(np.float64)
+    expected = 15.0 * np.sin(2.0 * np.pi * 510.0 * np.arange(3000, 19_000) / 10_000)
+    np.testing.assert_allclose(tone, expected, atol=0.02)
+    later = import_signal(path, OPTIONS).samples[200_000:280_000].astype(np.float64)
+    np.testing.assert_allclose(
+        later, 15.0 * np.sin(2.0 * np.pi * 510.0 * np.arange(200_000, 280_000) / 10_000), atol=0.1
+    )
+
+
+def test_what_a_click_loses_in_hjif_is_said(tmp_path):
+    (tmp_path / "a.haptic").write_text(json.dumps(make_haptic_file((0.0, 0.2, 0.0), (0.1, 0.2, 1.0), (0.3, 0.2, 0.0))))
+    result = convert(tmp_path / "a.haptic", "hjif", tmp_path / "a.hjif")
+    assert any("two periods of 91 Hz" in sentence for sentence in result.dropped)
+    assert not any("clicks: the format has none" in sentence for sentence in result.dropped)
+    played = import_signal(tmp_path / "a.hjif", OPTIONS)
+    assert np.abs(played.samples).max() == pytest.approx(36.0, rel=0.02)
+    high = write_hjif_bands(tmp_path / "b.hjif", make_hjif_band("VectorialWave", (0, 0.5, 900), (500, 0.5, 900)))
+    clip = find_loader(high)(high, ImportOptions(30.0, (20.0, 500.0)))
+    result = convert_envelope(clip, high, FORMATS["haptic"], tmp_path / "b.haptic", ExportOptions(30.0, (20.0, 500.0)))
+    assert any("Frequencies beyond 20 … 500 Hz" in sentence for sentence in result.dropped)
 
 
 def test_clips_of_other_makers(tmp_path):
