@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -55,6 +57,32 @@ def test_the_child_of_a_dead_parent_ends_and_its_folder_is_found(tmp_path, monke
     assert [each.name.split("-")[2] for each in left] == [str(parent)]
     assert remove_abandoned_folders() == left
     assert not list(get_job_root().glob(f"{JOB_FOLDER_PREFIX}*"))
+
+
+def test_a_killed_touch_leaves_what_the_next_one_removes(tmp_path) -> None:
+    """With all of Blender's own session; the next run need not even find its scene."""
+    root, scene = tmp_path / "temporary", tmp_path / "plate.obj"
+    root.mkdir()
+    scene.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    command = [sys.executable, "-c", "import sys; from hnf_blender.cli import main; sys.exit(main(sys.argv[1:]))"]
+    environment = {**os.environ, "TMPDIR": str(root)}
+    words = [*command, "touch", str(scene), "--out", str(tmp_path / "out")]
+    running = subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        limit = time.monotonic() + 100.0
+        while not list(root.glob(f"hnf-touch-{running.pid}-*/*")) and time.monotonic() < limit:
+            assert running.poll() is None, "it ended before it was killed"
+            time.sleep(0.01)
+    finally:
+        running.kill()
+        running.wait()
+    (left,) = root.iterdir()
+    assert list(left.iterdir())
+    words = [*command, "touch", str(tmp_path / "missing.obj"), "--out", str(tmp_path / "out")]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 1
+    assert "no such file" in done.stderr
+    assert list(root.iterdir()) == []
 
 
 def test_a_job_is_cleaned_up_when_no_thread_can_start(warm_bake, monkeypatch) -> None:
