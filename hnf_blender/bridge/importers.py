@@ -485,12 +485,12 @@ def check_scene_file(path: Path) -> str:
     starts |= {name: (USD_MAGIC, "a USD file") for name in SCENE_SUFFIXES if name.startswith(".usd")}
     if suffix in starts and not (head if suffix != ".fbx" else head.lstrip()).startswith(starts[suffix][0]):
         raise _damaged_file_error(path, f"it does not begin like {starts[suffix][1]}")
-    if suffix in {".gltf", ".glb"}:
-        check_gltf(path)
-    if suffix == ".ply":
-        _check_ply(path)
     if is_splat_file(path, suffix):
         open_splat_file(path)
+    elif suffix in {".gltf", ".glb"}:
+        check_gltf(path)
+    elif suffix == ".ply":
+        _check_ply(path)
     if suffix == ".stl" and not _is_stl(path, head):
         raise _damaged_file_error(path, "it is no STL file, neither text nor binary")
     return suffix
@@ -521,7 +521,7 @@ def _get_family(suffix: str) -> str:
 def _check_ply(path: Path) -> None:
     """Raise SceneError if a .ply is a point cloud without splats."""
     header = read_ply_header(path)
-    if not header.is_splat and header.count("face") == 0 and header.count("tristrips") == 0:
+    if header.count("face") == 0 and header.count("tristrips") == 0:
         raise SceneError(
             f"is a cloud of {header.count('vertex')} points without faces: there is no surface to touch.",
             where=str(path),

@@ -17,7 +17,8 @@ SPLAT_EXTENSION = "KHR_gaussian_splatting"
 UNREADABLE_EXTENSIONS = {
     "EXT_meshopt_compression": "Decompress it: gltfpack -noq -i FILE.glb -o NEW.glb (version 0.21 or later).",
     "KHR_meshopt_compression": "Decompress it: gltfpack -noq -i FILE.glb -o NEW.glb (version 1.0 or later).",
-    "KHR_texture_basisu": "Convert its KTX2 textures to PNG: gltf-transform ktxdecompress FILE.glb NEW.glb.",
+    "KHR_texture_basisu": "Convert its KTX2 textures to PNG: gltf-transform ktxdecompress FILE.glb NEW.glb "
+    "(of npm's @gltf-transform/cli, which needs Khronos's KTX-Software).",
 }
 """Extensions that Blender's importer may lack → remedy for a file that requires them."""
 

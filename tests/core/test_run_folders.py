@@ -76,7 +76,7 @@ def test_a_process_whose_parent_has_not_looked_is_dead(root, holders) -> None:
     assert remove_dead_folders() == [folder]
 
 
-def test_only_folders_that_name_a_dead_process_of_ours_are_removed(root, tmp_path) -> None:
+def test_only_folders_of_dead_processes_of_ours_are_removed(root, tmp_path) -> None:
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     others = [

@@ -23,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FileError, SceneError
-from ..gltf_document import SPLAT_EXTENSION, check_gltf
+from ..gltf_document import SPLAT_EXTENSION, UNREADABLE_EXTENSIONS, check_gltf
 from ..ply import make_damaged_error, make_unreadable_error
 from .gaussians import C0, Floats, RawSplats, SplatSource, UpAxis, evaluate_sh_basis, pad_harmonics
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """Component type of an accessor → numpy type code."""
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+READ_EXTENSIONS = (SPLAT_EXTENSION, "KHR_mesh_quantization", "KHR_materials_unlit")
 COLOUR_SPACES = ("srgb_rec709_display", "lin_rec709_display")
 TURN_TOLERANCE = 1e-4
 """Largest difference from a rotation times one scale."""
@@ -82,7 +83,12 @@ class _Cloud:
 
 def open_gltf(path: Path) -> SplatSource:
     """Open the splats of a glTF file; raise FileError if it is damaged, SceneError if it holds more than splats."""
-    document = check_gltf(path)
+    document = check_gltf(path, frozenset(UNREADABLE_EXTENSIONS))
+    required = document.get("extensionsRequired")
+    for name in required if isinstance(required, list) else []:
+        # gltfpack, which decompresses meshes, drops splats.
+        if str(name) not in READ_EXTENSIONS:
+            raise _make_unread_error(path, str(name))
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             clouds = list(_find_clouds(path, document))
@@ -94,6 +100,14 @@ def open_gltf(path: Path) -> SplatSource:
     if count == 0:
         raise FileError("holds no splats that a node shows.", where=str(path), remedy="Export it again.")
     return SplatSource(count, UpAxis("y", "glTF has +y up"), lambda block: _iter_clouds(path, clouds, block))
+
+
+def _make_unread_error(path: Path, what: str) -> FileError:
+    return FileError(
+        f"its splats need {what[:100]}, which is not read.",
+        where=str(path),
+        remedy="Export them uncompressed, with the kernel 'ellipse' and colors in sRGB, or as .ply or .spz.",
+    )
 
 
 def _find_clouds(path: Path, document: dict[str, Any]) -> Iterator[_Cloud]:
@@ -147,14 +161,7 @@ def _read_primitive(
     inner = [*(extension.get("extensions") or {}), *(name for name in names if name != SPLAT_EXTENSION)]
     kernel, colours = extension.get("kernel", "ellipse"), extension.get("colorSpace", COLOUR_SPACES[0])
     if inner or kernel != "ellipse" or colours not in COLOUR_SPACES:
-        what = (
-            inner[0] if inner else f"the kernel '{kernel}'" if kernel != "ellipse" else f"the color space '{colours}'"
-        )
-        raise FileError(
-            f"its splats need {str(what)[:80]}, which is not read.",
-            where=str(path),
-            remedy="Export them uncompressed, with the kernel 'ellipse' and colors in sRGB, or as .ply or .spz.",
-        )
+        raise _make_unread_error(path, next(iter(inner), f"the kernel '{kernel}' in the color space '{colours}'"))
     attributes = primitive["attributes"]
     prefix = f"{SPLAT_EXTENSION}:"
     degree = 0

@@ -311,7 +311,7 @@ def test_foreign_hjif_keeps_its_clicks_and_its_tone(tmp_path):
     ],
     ids=["curve", "two at a time", "square", "negative"],
 )
-def test_what_is_no_single_sine_is_measured_and_its_clicks_are_kept(tmp_path, bands):
+def test_what_is_no_single_sine_is_measured_beside_its_clicks(tmp_path, bands):
     path = write_hjif_bands(tmp_path / "a.hjif", *bands, TRANSIENTS, frequency_sampling=10_000)
     clip = find_loader(path)(path, OPTIONS)
     assert "measured" in clip.facts["assumed"]

@@ -337,6 +337,15 @@ def test_gltf_that_cannot_be_read_says_why(tmp_path: Path, change: dict, said: s
     assert caught.value.remedy
 
 
+@pytest.mark.parametrize("name", ["EXT_meshopt_compression", "KHR_draco_mesh_compression"])
+def test_compressed_splats_are_sent_to_no_mesh_tool(tmp_path: Path, name: str) -> None:
+    path = write_gltf(tmp_path / "a.gltf", cloud(5))
+    path.write_text(path.read_text().replace('Required": [', f'Required": ["{name}", '))
+    with pytest.raises(FileError, match=name) as caught:
+        read_splats(path)
+    assert "gltfpack" not in caught.value.remedy
+
+
 def test_meshes_beside_splats_and_drafts_are_refused(tmp_path: Path) -> None:
     path = write_gltf(tmp_path / "a.gltf", cloud(5))
     document = json.loads(path.read_text())
