@@ -19,14 +19,14 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
     bl_idname = __package__
 
     overlay: bpy.props.BoolProperty(
-        name="Show strokes in the 3-D view",
-        description="Paths coloured by force in newtons, direction ticks and the point of contact at the playhead",
+        name="Show Strokes in Viewport",
+        description="Paths colored by force in newtons, direction ticks and the point of contact at the playhead",
         default=DEFAULT_SETTINGS.overlay,
     )
     default_probe: bpy.props.EnumProperty(
-        name="Probe of new strokes",
+        name="Probe of New Strokes",
         description="Default probe for new strokes",
-        items=[(name, name.replace("-", " ").capitalize(), f"Touch with the {name}") for name in PROBE_NAMES],
+        items=[(name, name.replace("-", " ").title(), f"Touch with the {name}") for name in PROBE_NAMES],
         default=DEFAULT_SETTINGS.default_probe,
     )
     output: bpy.props.StringProperty(
@@ -58,13 +58,13 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         if folder:
             layout.label(text=f"{tr('Cache folder')}: {folder}", translate=False)
         else:
-            layout.operator("hnf.diagnose", text="Show the Cache's Folder and Size", icon="VIEWZOOM")
+            layout.operator("hnf.diagnose", text="Show Cache Folder and Size", icon="VIEWZOOM")
         draw_cache(layout, STATE)
         row = layout.row(align=True)
-        row.label(text="Asset library")
+        row.label(text="Asset Library")
         row.operator("hnf.assets_add", text="Add")
         row.operator("hnf.assets_remove", text="Remove")
-        layout.label(text="Optional: only Learn a Material… needs an external Python with PyTorch", icon="INFO")
+        layout.label(text="Learning Needs PyTorch", icon="INFO")
         draw_external_python(layout, self)
         draw_diagnosis(layout, context)
 

@@ -133,8 +133,8 @@ def list_builtin_outputs() -> tuple[Output, ...]:
     """Return the outputs that exist without a search for devices."""
     return (
         Output(SPEAKERS, tr("Speakers (Blender)")),
-        Output(VIRTUAL, tr("Virtual actuator")),
-        Output("audio", tr("Usual sound output, within limits")),
+        Output(VIRTUAL, tr("Virtual Actuator")),
+        Output("audio", tr("Usual Output, Limited")),
     )
 
 

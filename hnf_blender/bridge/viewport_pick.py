@@ -1,4 +1,4 @@
-"""Find the surface, object and material under the mouse or pen in a 3-D view.
+"""Find the surface, object and material under the mouse or pen in a 3D view.
 
 Rays are cast on evaluated meshes as they are, without copying them, because a pen moves a hundred times a second.
 Objects that are visible but cannot be touched (instances, texts, curves) are reported with the remedy.
@@ -175,7 +175,7 @@ def _find_instancer(obj: Any, matrix: Any, depsgraph: Any) -> Any:
 
 
 def find_view_under_mouse(context: Any, event: Any) -> Any:
-    """Return the 3-D view area under the mouse, including its headers and sidebars, or None."""
+    """Return the 3D view area under the mouse, including its headers and sidebars, or None."""
     for area in context.window.screen.areas if context.window is not None else ():
         inside = area.x <= event.mouse_x < area.x + area.width and area.y <= event.mouse_y < area.y + area.height
         if inside and area.type == "VIEW_3D":
@@ -184,7 +184,7 @@ def find_view_under_mouse(context: Any, event: Any) -> Any:
 
 
 def find_region_under_mouse(context: Any, event: Any) -> Any:
-    """Return the main region of the 3-D view under the mouse; None if a sidebar or header covers it."""
+    """Return the main region of the 3D view under the mouse; None if a sidebar or header covers it."""
     main_region = None
     for area in context.window.screen.areas if context.window is not None else ():
         for region in area.regions if area.type == "VIEW_3D" else ():
@@ -226,7 +226,7 @@ def pick_object_along_ray(
 
 
 def pick_surface(context: Any, area: Any, region: Any, at: tuple[float, float]) -> Any:
-    """Return the Hit at a point `at` (x, y) [pixels] of a 3-D view's region, or None."""
+    """Return the Hit at a point `at` (x, y) [pixels] of a 3D view's region, or None."""
     from bpy_extras import view3d_utils
 
     return cast_on_surface(

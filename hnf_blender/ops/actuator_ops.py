@@ -149,7 +149,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
             PLAYER_CLIENT.live_end()
             return {"FINISHED"}
         if context.window is None:
-            self.report({"WARNING"}, tr("Surfaces are touched in a 3-D view"))
+            self.report({"WARNING"}, tr("Surfaces are touched in a 3D view"))
             return {"CANCELLED"}
         if not self._start(context):
             return {"CANCELLED"}

@@ -48,7 +48,7 @@ class HNF_OT_bake(ModalJob, bpy.types.Operator):  # type: ignore[misc]
     bl_options = {"UNDO"}  # Blender wants a set
 
     only_active: bpy.props.BoolProperty(
-        name="Only the active stroke", description="Leave the other strokes unchanged", default=False
+        name="Only the Active Stroke", description="Leave the other strokes unchanged", default=False
     )
 
     @classmethod
@@ -78,7 +78,7 @@ class HNF_OT_bake(ModalJob, bpy.types.Operator):  # type: ignore[misc]
             return ()
         stroke = get_active_stroke(context)
         if stroke is None:
-            raise HnfError("no stroke is active.", remedy="Select one, in the list or in the 3-D view.")
+            raise HnfError("no stroke is active.", remedy="Select one, in the list or in the 3D view.")
         return (get_scene_name(context.scene, stroke),)
 
     def format_status(self, job: JobStatus) -> str:
@@ -131,8 +131,8 @@ class HNF_OT_purge(bpy.types.Operator):  # type: ignore[misc]
         name="Remove",
         description="What to remove",
         items=[
-            ("STALE", "What is stale", "Bakes that no longer fit their stroke, and tokens of surfaces that changed"),
-            ("ALL", "Everything baked", "All bakes of all strokes, and the tokens and palettes of all meshes"),
+            ("STALE", "What Is Stale", "Bakes that no longer fit their stroke, and tokens of surfaces that changed"),
+            ("ALL", "Everything Baked", "All bakes of all strokes, and the tokens and palettes of all meshes"),
         ],
         default="ALL",
     )

@@ -1,4 +1,4 @@
-"""Operators that draw strokes on surfaces in the 3-D view with a mouse or pen, and activate the stroke tool."""
+"""Operators that draw strokes on surfaces in the 3D view with a mouse or pen, and activate the stroke tool."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -18,10 +18,10 @@ from .context import DEFAULT_PROBE, fail_poll, format_error, make_active_and_vis
 
 PROBE_ITEMS = [
     (DEFAULT_PROBE, "Default", "The default probe set in the preferences"),
-    *((name, name.replace("-", " ").capitalize(), f"Touch with the {name}") for name in PROBE_NAMES),
+    *((name, name.replace("-", " ").title(), f"Touch with the {name}") for name in PROBE_NAMES),
 ]
 TIMING_ITEMS = (
-    ("HAND", "As drawn", "The stroke takes as long as your hand did: its timing becomes progress keys"),
+    ("HAND", "As Drawn", "The stroke takes as long as your hand did: its timing becomes progress keys"),
     ("SPEED", "Constant", "One speed from end to end, however fast you draw; change it later in the Time panel"),
 )
 
@@ -85,7 +85,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
     )
     speed_mm_s: bpy.props.FloatProperty(
         name="Speed",
-        description="Constant speed in millimetres per second",
+        description="Constant speed in millimeters per second",
         default=100.0,
         min=0.1,
         max=10_000.0,
@@ -127,7 +127,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
         if len(self.stroke):
             return self.execute(context)
         if context.area is None or context.area.type != "VIEW_3D":
-            self.report({"WARNING"}, tr("Strokes are drawn in a 3-D view"))
+            self.report({"WARNING"}, tr("Strokes are drawn in a 3D view"))
             return {"CANCELLED"}
         from .pen import Pen
 
@@ -293,7 +293,7 @@ class HNF_OT_stroke_tool(bpy.types.Operator):  # type: ignore[misc]  # bpy has n
         if context.mode != "OBJECT":
             return fail_poll(cls, "Strokes are drawn in Object Mode: choose it in the header")
         if context.area is None or context.area.type != "VIEW_3D":
-            return fail_poll(cls, "Strokes are drawn in a 3-D view")
+            return fail_poll(cls, "Strokes are drawn in a 3D view")
         return True
 
     def execute(self, _context: Any) -> set[str]:

@@ -25,7 +25,7 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # bpy has no typ
     )
 
     all: bpy.props.BoolProperty(
-        name="All strokes", description="Every stroke that is not muted, instead of the active one only", default=False
+        name="All Strokes", description="Every stroke that is not muted, instead of the active one only", default=False
     )
     format: bpy.props.EnumProperty(
         name="Format", description="File format; if not given, the one chosen in the panel", items=FORMAT_ITEMS

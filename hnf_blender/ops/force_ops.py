@@ -18,7 +18,7 @@ from .context import fail_poll, format_error, report_errors
 from .stroke_ops import UNDOABLE, poll_active_stroke, poll_editable_stroke, require_local
 
 GRAPH_AREA_SHARE = 0.38
-"""Height of a new Graph Editor as a fraction of the 3-D view's."""
+"""Height of a new Graph Editor as a fraction of the 3D view's."""
 FLAT_RANGE_N = 0.05
 """Range of force below which a curve counts as flat [N]."""
 FLAT_MARGIN_N = 1.5
@@ -60,7 +60,7 @@ def show_curve(context: Any, obj: Any, data_path: str, area: Any) -> None:
 
 
 def open_graph_editor(context: Any) -> Any:
-    """Return a Graph Editor of the context's window, splitting the largest 3-D view if there is none.
+    """Return a Graph Editor of the context's window, splitting the largest 3D view if there is none.
 
     Raises HnfError if none can be made; no editor is changed then.
     """
@@ -73,7 +73,7 @@ def open_graph_editor(context: Any) -> Any:
             return area
     if window.screen.show_fullscreen:  # Blender cannot split a maximised area.
         raise HnfError(
-            "the 3-D view fills the window, so there is no room for a Graph Editor.",
+            "the 3D view fills the window, so there is no room for a Graph Editor.",
             remedy="Press Ctrl Space with the mouse over it (or Back to Previous at the top), then this button again.",
         )
     views = [area for area in areas if area.type == "VIEW_3D"] or list(areas)
@@ -84,7 +84,7 @@ def open_graph_editor(context: Any) -> Any:
     added = [area for area in window.screen.areas if area.as_pointer() not in previous_areas]
     if "FINISHED" not in split or not added:
         raise HnfError(
-            "the 3-D view is too small to split a Graph Editor off it.", remedy="Open a Graph Editor, then press again."
+            "the 3D view is too small to split a Graph Editor off it.", remedy="Open a Graph Editor, then press again."
         )
     area = min([*added, largest], key=lambda area: area.y)
     area.ui_type = "FCURVES"
@@ -234,7 +234,7 @@ class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]
     bl_options = UNDOABLE
 
     fit_time: bpy.props.BoolProperty(
-        name="Fit to each stroke's duration",
+        name="Fit to Each Duration",
         description="Stretch the curve to each stroke's duration; off: second by second from its start",
         default=True,
     )

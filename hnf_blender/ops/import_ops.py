@@ -120,7 +120,7 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy h
 class HNF_OT_import_sound(bpy.types.Operator):  # type: ignore[misc]
     bl_idname = "hnf.import_sound"
     bl_label = "Sound as Speaker (.wav)"
-    bl_description = "Add a Speaker with a WAV file: at its stroke, at the active stroke, or else at the 3-D cursor"
+    bl_description = "Add a Speaker with a WAV file: at its stroke, at the active stroke, or else at the 3D cursor"
     bl_options = UNDOABLE
 
     filepath: bpy.props.StringProperty(
@@ -156,7 +156,7 @@ class HNF_OT_import_sound(bpy.types.Operator):  # type: ignore[misc]
         speaker = add_speaker(sound, path.stem, location, frame, stroke)
         if signal is not None and signal.samples.size:
             speaker.data.volume = min(1.0, SPEAKER_PEAK_SHARE / max(float(abs(signal.samples).max()), 1e-9))
-        location_text = tr("at the 3-D cursor") if stroke is None else tr("at stroke '{name}'").format(name=stroke.name)
+        location_text = tr("at the 3D cursor") if stroke is None else tr("at stroke '{name}'").format(name=stroke.name)
         self.report({"INFO"}, f"{speaker.name}: {location_text}")
         return {"FINISHED"}
 
@@ -198,7 +198,7 @@ def _describe_assignment(definition: "MaterialFile", obj: Any, material: Any) ->
 
 class HNF_FH_material(bpy.types.FileHandler):  # type: ignore[misc]
     bl_idname = "HNF_FH_material"
-    bl_label = "Touch material"
+    bl_label = "Touch Material"
     bl_import_operator = "hnf.import_material"
     bl_file_extensions = ".hnf"
 
@@ -308,7 +308,7 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
     bl_idname = "hnf.import_splats"
     bl_label = "Gaussian Splats"
     bl_description = (
-        "Add a 3-D Gaussian splat reconstruction: its splats, and a surface made of them that can be touched"
+        "Add a 3D Gaussian splat reconstruction: its splats, and a surface made of them that can be touched"
     )
     bl_options = UNDOABLE
 
@@ -358,7 +358,7 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         if not reader.is_done:
-            template = tr("Reconstructing {file}: {percent} %.  Esc over the 3-D view: cancel")
+            template = tr("Reconstructing {file}: {percent} %.  Esc over the 3D view: cancel")
             text = template.format(file=self._path.name, percent=f"{100 * reader.share:.0f}")
             context.workspace.status_text_set(text)
             return {"PASS_THROUGH"}
@@ -393,7 +393,7 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
 
         surface = add_reconstruction(context.scene, made)
         make_active(context, surface)
-        template = tr("{name}: {splats} splats, a surface of {faces} faces; Material Preview shows their colours")
+        template = tr("{name}: {splats} splats, a surface of {faces} faces; Material Preview shows their colors")
         count = len(made.surface.triangles)
         self.report({"INFO"}, template.format(name=surface.name, splats=len(made.splats), faces=count))
         for note in (*made.surface.warnings, describe_shown_splats(made)):
@@ -420,7 +420,7 @@ class HNF_FH_splats(bpy.types.FileHandler):  # type: ignore[misc]
     """
 
     bl_idname = "HNF_FH_splats"
-    bl_label = "Gaussian splats"
+    bl_label = "Gaussian Splats"
     bl_import_operator = "hnf.import_splats"
     bl_file_extensions = ".ply;.spz;.sog;.splat;.ksplat"
 
@@ -437,13 +437,13 @@ class HNF_OT_set_real_length(bpy.types.Operator):  # type: ignore[misc]  # bpy h
     bl_label = "Set Real Length"
     bl_description = (
         "Say how far apart two selected vertices, or the origins of two selected objects, really are; the scene's "
-        "metres per unit follow from it"
+        "meters per unit follow from it"
     )
     bl_options = UNDOABLE
 
     length_m: bpy.props.FloatProperty(
-        name="Length in metres",
-        description="How far apart the two points are in reality, in metres",
+        name="Length in Meters",
+        description="How far apart the two points are in reality, in meters",
         default=1.0,
         min=MIN_LENGTH_M,
         max=MAX_LENGTH_M,

@@ -227,7 +227,7 @@ class HNF_OT_learn(LearnChoices, bpy.types.Operator):  # type: ignore[misc]  # b
             layout.prop(self, "name")
         layout.prop(self, "effort")
         licence = tr("yours (your own recordings)") if self.kind == "own" else LICENCES[self.kind]
-        text = tr("Licence: {licence}").format(licence=licence)
+        text = tr("License: {licence}").format(licence=licence)
         column = layout.column(align=True)
         column.scale_y = 0.8
         for index, line in enumerate(wrap_text(text, int((DIALOG_PX - MARGIN_PX) / CHARACTER_PX))):

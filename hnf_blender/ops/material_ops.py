@@ -127,7 +127,7 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]
         description="Full name of the Blender material, to tell linked ones from those of this file",
         options={"HIDDEN"},
     )
-    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=get_library_items)
+    name: bpy.props.EnumProperty(name="Feels Like", description="Material of the library", items=get_library_items)
 
     @classmethod
     def description(cls, _context: Any, properties: Any) -> str:
@@ -170,7 +170,7 @@ class HNF_OT_stroke_material(bpy.types.Operator):  # type: ignore[misc]
     bl_options = UNDOABLE
     bl_property = "name"
 
-    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=get_library_items)
+    name: bpy.props.EnumProperty(name="Feels Like", description="Material of the library", items=get_library_items)
 
     @classmethod
     def poll(cls, context: Any) -> bool:
@@ -323,7 +323,7 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # bpy h
 
 
 def find_clicked_point(context: Any, event: Any) -> "TouchQuery | None":
-    """Return the point under the mouse in a 3-D view, in the coordinates of its object; None if there is no surface."""
+    """Return the point under the mouse in a 3D view, in the coordinates of its object; None if there is no surface."""
     from hnf_core.touch_request import TouchQuery
 
     from ..bridge.viewport_pick import find_region_under_mouse, pick_surface

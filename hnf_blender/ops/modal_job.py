@@ -90,7 +90,7 @@ class ModalJob:
         """Show the progress of the job in status bar and panels."""
         job = STATE.job
         if job is not None:
-            context.workspace.status_text_set(f"{self.format_status(job)}.  {tr('Esc over the 3-D view: cancel')}")
+            context.workspace.status_text_set(f"{self.format_status(job)}.  {tr('Esc over the 3D view: cancel')}")
             redraw_tab()
 
     def clean_up(self, context: Any) -> None:

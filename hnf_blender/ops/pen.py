@@ -87,7 +87,7 @@ class Pen:
         return self._travelled_px < CLICK_PX
 
     def press(self, context: Any, event: Any, region: Any) -> bool:
-        """Begin a stroke in a region of a 3-D view; return False, with `reject_reason`, if nothing can be touched."""
+        """Begin a stroke in a region of a 3D view; return False, with `reject_reason`, if nothing can be touched."""
         self.reject_reason = tr("No mesh under the pen: press on a surface that is visible here")
         if context.mode != "OBJECT":
             self.reject_reason = tr("Strokes are drawn in Object Mode: choose it in the header")
@@ -199,7 +199,7 @@ class Pen:
         self._area.tag_redraw()
 
     def _draw(self) -> None:
-        """Draw the line so far, colored by force; called by Blender after drawing the 3-D view."""
+        """Draw the line so far, colored by force; called by Blender after drawing the 3D view."""
         import bpy
         import gpu
         from gpu_extras.batch import batch_for_shader
@@ -227,7 +227,7 @@ class Pen:
 def is_cancel_event(context: Any, event: Any, *, pressed: bool = False) -> bool:
     """Return whether an event cancels an operator that waits for the pen.
 
-    Esc over a 3-D view and a right click into one cancel, so other editors keep theirs; with the pen `pressed` they
+    Esc over a 3D view and a right click into one cancel, so other editors keep theirs; with the pen `pressed` they
     cancel anywhere.
     """
     if event.value != "PRESS":

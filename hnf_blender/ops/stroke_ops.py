@@ -39,7 +39,7 @@ def describe_primitive(primitive: Primitive) -> str:
 
 
 PRIMITIVE_ITEMS = [
-    (name, name.replace("-", " ").capitalize(), describe_primitive(primitive)) for name, primitive in PRIMITIVES.items()
+    (name, name.replace("-", " ").title(), describe_primitive(primitive)) for name, primitive in PRIMITIVES.items()
 ]
 
 
@@ -115,7 +115,7 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         name="Stroke", description="Kind of motion, force in newtons and speed", items=PRIMITIVE_ITEMS
     )
     words: bpy.props.StringProperty(
-        name="In words",
+        name="In Words",
         description="Instead of a ready one: 'scrape right to left, 1.5 N, 80 mm/s', 'tap twice, then rub in circles'",
         options={"SKIP_SAVE"},
     )
@@ -123,7 +123,7 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         name="Dialog", description="Ask for the words in a dialog", default=False, options={"HIDDEN", "SKIP_SAVE"}
     )
     slot: bpy.props.IntProperty(
-        name="Material slot",
+        name="Material Slot",
         description="Slot that is touched, counted from 0; -1 takes the one that covers the most",
         default=-1,
         min=-1,
@@ -212,7 +212,7 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]
     bl_options = UNDOABLE
 
     speed_mm_s: bpy.props.FloatProperty(
-        name="Speed", description="Millimetres per second", default=100.0, min=0.1, max=10_000.0, soft_max=500.0
+        name="Speed", description="Millimeters per second", default=100.0, min=0.1, max=10_000.0, soft_max=500.0
     )
 
     @classmethod

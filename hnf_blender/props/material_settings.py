@@ -38,7 +38,7 @@ DEFINITION_NAME_PROPERTY = "hnf_material_name"
 
 class HnfMaterial(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
     library: bpy.props.StringProperty(
-        name="Feels like",
+        name="Feels Like",
         description=(
             "Library material that you chose; no bake overwrites it. Empty: chosen automatically from the material's "
             "look"

@@ -49,11 +49,11 @@ class FormatChoice(NamedTuple):
 
 
 FORMAT_CHOICES = (
-    FormatChoice("wav", "WAV in m/s²", "10 kHz, 32-bit float, never normalised: nothing is lost", scaled=False),
+    FormatChoice("wav", "WAV in m/s²", "10 kHz, 32-bit float, never normalized: nothing is lost", scaled=False),
     FormatChoice("wav8k", "WAV 8 kHz", "16 bit, for an actuator; 1 is the actuator's largest acceleration", stem="-8k"),
     FormatChoice("wav48k", "WAV 48 kHz", "16 bit, for a sound card and an amplifier; 1 is the largest acceleration",
                  stem="-48k"),
-    FormatChoice("listen", "WAV to Listen to", "48 kHz, 16 bit, as loud as it goes without clipping: for ears, not for "
+    FormatChoice("listen", "WAV to Listen To", "48 kHz, 16 bit, as loud as it goes without clipping: for ears, not for "
                  "an actuator", scaled=False, stem="-listen"),
     FormatChoice("haptic", ".haptic (Meta)", "Strength and frequency over time, for Meta Haptics; no waveform"),
     FormatChoice("ahap", ".ahap (Apple)", "Strength and sharpness over time, for iPhones; no waveform"),
@@ -117,16 +117,16 @@ def _read_profile(path: str, _mtime: int) -> ActuatorProfile:
 
 
 def _make_title(path: str) -> str:
-    return Path(path).name or tr("Measured actuator")
+    return Path(path).name or tr("Measured Actuator")
 
 
 class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
     stroke_index: bpy.props.IntProperty(
-        name="Active stroke", description="The stroke shown in the panels below", default=0, min=0, override=OVERRIDABLE
+        name="Active Stroke", description="The stroke shown in the panels below", default=0, min=0, override=OVERRIDABLE
     )
     metres_per_unit: bpy.props.FloatProperty(
-        name="Metres per unit",
-        description="Length of one scene unit in metres; 0 uses the scene's own unit scale",
+        name="Meters per Unit",
+        description="Length of one scene unit in meters; 0 uses the scene's own unit scale",
         default=0.0,
         min=0.0,
         soft_max=1.0,
@@ -134,7 +134,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         override=OVERRIDABLE,
     )
     monitor_gain_db: bpy.props.FloatProperty(
-        name="Monitor gain",
+        name="Monitor Gain",
         description="Loudness of the preview on headphones in dB. Does not change exported files",
         default=0.0,
         min=-60.0,
@@ -144,7 +144,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
     )
     loop: bpy.props.BoolProperty(name="Loop", description="Repeat the stroke", default=False, override=OVERRIDABLE)
     follow_timeline: bpy.props.BoolProperty(
-        name="Follow the timeline",
+        name="Follow Timeline",
         description="Play each stroke at its frame while the timeline plays",
         default=True,
         override=OVERRIDABLE,
@@ -154,8 +154,8 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         description="Actuator whose limits the preview compares the signal with",
         items=[
             *((name, profile.title, profile.source) for name, profile in PROFILES.items()),
-            (USER_PROFILE_NAME, "My actuator", "A device of your own: enter what its data sheet says"),
-            (PROFILE_FROM_FILE, "Measured actuator", "A profile in a .json file, made by measuring your actuator"),
+            (USER_PROFILE_NAME, "My Actuator", "A device of your own: enter what its data sheet says"),
+            (PROFILE_FROM_FILE, "Measured Actuator", "A profile in a .json file, made by measuring your actuator"),
         ],
         default=GENERIC.name,
         override=OVERRIDABLE,
@@ -169,7 +169,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         override=OVERRIDABLE,
     )
     own_peak_m_s2: bpy.props.FloatProperty(
-        name="Largest acceleration",
+        name="Largest Acceleration",
         description="Largest acceleration of your actuator within its range, in m/s² (1 g is 9.81 m/s²); 0: not known",
         default=0.0,
         min=0.0,
@@ -178,7 +178,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         override=OVERRIDABLE,
     )
     own_lowest_hz: bpy.props.FloatProperty(
-        name="Lowest frequency",
+        name="Lowest Frequency",
         description="Lowest frequency that your actuator is made for, in Hz",
         default=20.0,
         min=1.0,
@@ -187,7 +187,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         override=OVERRIDABLE,
     )
     own_highest_hz: bpy.props.FloatProperty(
-        name="Highest frequency",
+        name="Highest Frequency",
         description="Highest frequency that your actuator is made for, in Hz",
         default=1000.0,
         min=1.0,
@@ -196,7 +196,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         override=OVERRIDABLE,
     )
     live_pen_n: bpy.props.FloatProperty(
-        name="Live force of the pen",
+        name="Live Force of the Pen",
         description="Normal force in newtons at full pen pressure, while a live touch follows the pen",
         default=3.0,
         min=0.01,
@@ -206,7 +206,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         override=OVERRIDABLE,
     )
     live_mouse_n: bpy.props.FloatProperty(
-        name="Live force of the mouse",
+        name="Live Force of the Mouse",
         description="Normal force in newtons while a live touch follows a mouse (no pressure)",
         default=1.0,
         min=0.01,

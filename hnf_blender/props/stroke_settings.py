@@ -16,7 +16,7 @@ FORCE_MAX_N = 20.0
 """Largest normal force of a stroke [N]."""
 
 MOTION_PROFILE_ITEMS = (
-    ("PROGRESS", "Progress keys", "The keys of Progress say where along the curve the hand is at each frame"),
+    ("PROGRESS", "Progress Keys", "The keys of Progress say where along the curve the hand is at each frame"),
     ("SPEED", "Speed", "From end to end at a constant speed, unless Progress is keyed"),
     ("DURATION", "Duration", "From end to end in a given time, unless Progress is keyed"),
 )
@@ -31,7 +31,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         override=OVERRIDABLE,
     )
     was_curve: bpy.props.BoolProperty(
-        name="Was a curve",
+        name="Was a Curve",
         description="The artist's own curve, made a stroke: it is not deleted with the stroke",
         default=False,
         options={"HIDDEN"},
@@ -69,7 +69,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
     )
     speed_mm_s: bpy.props.FloatProperty(
         name="Speed",
-        description="Millimetres per second",
+        description="Millimeters per second",
         default=100.0,
         min=0.1,
         max=10_000.0,
@@ -89,7 +89,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
     probe: bpy.props.EnumProperty(
         name="Probe",
         description="What touches the surface",
-        items=[(name, name.replace("-", " ").capitalize(), f"Touch with the {name}") for name in PROBE_NAMES],
+        items=[(name, name.replace("-", " ").title(), f"Touch with the {name}") for name in PROBE_NAMES],
         default="pen",
         override=OVERRIDABLE,
     )

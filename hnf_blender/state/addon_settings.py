@@ -17,7 +17,7 @@ class Settings(NamedTuple):
     Attributes
     ----------
     overlay : bool
-        Draw strokes in the 3-D view.
+        Draw strokes in the 3D view.
     default_probe : str
         Probe of new strokes.
     output : str

@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 
 def redraw_tab() -> None:
-    """Redraw the sidebars of all 3-D views; do nothing without windows."""
+    """Redraw the sidebars of all 3D views; do nothing without windows."""
     _tag_regions("UI")
 
 
 def redraw_views() -> None:
-    """Redraw the 3-D views without their sidebars and headers."""
+    """Redraw the 3D views without their sidebars and headers."""
     _tag_regions("WINDOW")
 
 

@@ -72,10 +72,10 @@ def format_counts(statuses: Iterable[StrokeStatus | None]) -> str:
     """Format the statuses of strokes as "2 up to date, 1 to bake"; "" for none."""
     freshness = [Freshness.UNKNOWN if status is None else status.freshness for status in statuses]
     counts = [
-        (tr("{count} up to date"), sum(state in PLAYABLE_STATES for state in freshness)),
-        (tr("{count} to bake"), sum(state in (Freshness.UNBAKED, Freshness.STALE) for state in freshness)),
-        (tr("{count} not checked"), freshness.count(Freshness.UNKNOWN)),
-        (tr("{count} broken"), freshness.count(Freshness.BROKEN)),
+        (tr("{count} Up to Date"), sum(state in PLAYABLE_STATES for state in freshness)),
+        (tr("{count} to Bake"), sum(state in (Freshness.UNBAKED, Freshness.STALE) for state in freshness)),
+        (tr("{count} Not Checked"), freshness.count(Freshness.UNKNOWN)),
+        (tr("{count} Broken"), freshness.count(Freshness.BROKEN)),
     ]
     return ", ".join(text.format(count=count) for text, count in counts if count)
 

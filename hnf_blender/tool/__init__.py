@@ -1,4 +1,4 @@
-"""Stroke tool of the 3-D view, overlay of strokes, and menu entries; registered only if Blender has a window.
+"""Stroke tool of the 3D view, overlay of strokes, and menu entries; registered only if Blender has a window.
 
 Read `stroke_tool.py` first.
 """

@@ -1,4 +1,4 @@
-"""Overlay of strokes in the 3-D view: paths colored by force, direction ticks, start, and the contact at the playhead.
+"""Overlay of strokes in the 3D view: paths colored by force, direction ticks, start, and the contact at the playhead.
 
 A few changed strokes are computed in the depsgraph handler, so that Blender draws only once; many are left to a timer.
 `overlay_drawing.py` computes and draws one path.
@@ -34,7 +34,7 @@ REFRESH_BUDGET_S = 0.04
 
 @dataclass
 class OverlayState:
-    """Cached paths of strokes in the 3-D view, and pending changes.
+    """Cached paths of strokes in the 3D view, and pending changes.
 
     Attributes
     ----------
@@ -180,7 +180,7 @@ def _compute_paths(strokes: Sequence[Any], scene: Any, depsgraph: Any) -> None:
 
 
 def _draw() -> None:
-    """Draw the overlay; called by Blender for every 3-D view."""
+    """Draw the overlay; called by Blender for every 3D view."""
     context = bpy.context
     space, scene = context.space_data, context.scene
     if not OVERLAY.paths or not space.overlay.show_overlays or not get_settings(context).overlay:

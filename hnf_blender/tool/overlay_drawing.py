@@ -186,7 +186,7 @@ _batches: dict[str, tuple[Any, Any, Any]] = {}
 
 
 class OverlayView:
-    """Projection of one 3-D view region, with the size of a pixel in the world."""
+    """Projection of one 3D view region, with the size of a pixel in the world."""
 
     def __init__(self, region_data: Any, region: Any) -> None:
         scale = float(_get_preferences().system.pixel_size or 1.0)

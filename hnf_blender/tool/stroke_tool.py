@@ -1,4 +1,4 @@
-"""Stroke tool in the toolbar of the 3-D view, and the entries of the add-on in Blender's own menus.
+"""Stroke tool in the toolbar of the 3D view, and the entries of the add-on in Blender's own menus.
 
 The tool has its icon and keymap; the entries are Add > Touch Stroke, the context menu of objects, the popover of the
 viewport's overlays, and File > Import.
@@ -89,7 +89,7 @@ def draw_overlay_switch(self: Any, context: Any) -> None:
 
 
 def draw_import_menu(self: Any, _context: Any) -> None:
-    """Draw the entries of File > Import, which do what a drop on the 3-D view does."""
+    """Draw the entries of File > Import, which do what a drop on the 3D view does."""
     self.layout.operator("hnf.import_material")
     self.layout.operator("hnf.import_sound")
     self.layout.operator("hnf.import_splats")

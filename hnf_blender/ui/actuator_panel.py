@@ -23,12 +23,12 @@ from ..translations import tr
 from .layout import TouchPanel, draw_hint, draw_paragraph, make_button_row, shorten_name
 
 PHASE_LABELS = {
-    Phase.OFF: ("RADIOBUT_OFF", "Not running"),
+    Phase.OFF: ("RADIOBUT_OFF", "Not Running"),
     Phase.OPENING: ("SORTTIME", "Connecting"),
-    Phase.READY: ("RADIOBUT_ON", "Idle; device released"),
+    Phase.READY: ("RADIOBUT_ON", "Idle, Device Released"),
     Phase.PLAYING: ("PLAY", "Playing"),
-    Phase.PAUSED: ("PAUSE", "Paused; device kept"),
-    Phase.LIVE: ("BRUSH_DATA", "Follows the pen"),
+    Phase.PAUSED: ("PAUSE", "Paused, Device Kept"),
+    Phase.LIVE: ("BRUSH_DATA", "Follows the Pen"),
 }
 """Icon and text of every phase of the player."""
 
@@ -80,7 +80,7 @@ def draw_output(layout: Any, context: Any) -> None:
     """Draw the selected output and its buttons."""
     target = get_selected_output(context)
     column = layout.column(align=True)
-    column.label(text="Played on")
+    column.label(text="Played On")
     row = column.row(align=True)
     icon = "SPEAKER" if target == SPEAKERS else "FORCE_HARMONIC"
     row.menu("HNF_MT_output", text=shorten_name(context, find_output_title(target, context), reserved=8), icon=icon)

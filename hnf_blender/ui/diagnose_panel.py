@@ -49,7 +49,7 @@ def draw_external_python(layout: Any, preferences: Any) -> None:
     button.operator("hnf.python_check", text="Check", icon="VIEWZOOM")
     external_python = STATE.external_python
     if external_python is None or external_python.path != preferences.external_python:
-        box.label(text="Set its path, then press Check. Learn a Material… appears under Materials", icon="INFO")
+        box.label(text="Not Checked Yet", icon="INFO")
         return
     box.label(
         text=format_python_status(external_python),
@@ -57,7 +57,7 @@ def draw_external_python(layout: Any, preferences: Any) -> None:
         translate=False,
     )
     if external_python.command:
-        box.label(text="Type this into a terminal, then check again:", icon="BLANK1")
+        box.label(text="Run This in a Terminal", icon="BLANK1")
         row = box.row(align=True)
         row.label(text=external_python.command, icon="BLANK1", translate=False)
         row.operator("hnf.python_copy", text="Copy", icon="COPYDOWN")

@@ -52,8 +52,8 @@ def describe_material(material: Any) -> tuple[str, str]:
         return "UNLOCKED", f"{format_display_name(ranked[0].name)} ({format_confidence(ranked[0].confidence)})"
     baked = next((status for status in iterate_statuses() if status.shader == material.name), None)
     if baked is not None and baked.library_material:
-        return "UNLOCKED", f"{format_display_name(baked.library_material)} ({tr('as baked')})"
-    return "UNLOCKED", tr("Automatic at bake")
+        return "UNLOCKED", f"{format_display_name(baked.library_material)} ({tr('As Baked')})"
+    return "UNLOCKED", tr("Automatic at Bake")
 
 
 def iterate_statuses() -> Iterator[StrokeStatus]:
@@ -91,7 +91,7 @@ class HNF_UL_slots(bpy.types.UIList):  # type: ignore[misc]  # bpy has no types,
         self, context: Any, layout: Any, _data: Any, slot: Any, icon: int, _active_data: Any, _active: str, _index: int
     ) -> None:
         if slot.material is None:
-            layout.label(text="Empty slot", icon="MATERIAL")
+            layout.label(text="Empty Slot", icon="MATERIAL")
             return
         row = layout.row()
         row.label(text=shorten_name(context, slot.material.name, reserved=18), icon_value=icon, translate=False)
@@ -203,7 +203,7 @@ class HNF_PT_as_baked(PopoverPanel, bpy.types.Panel):  # type: ignore[misc]
             for line in format_routes(status.routes):
                 draw_paragraph(column, context, line, icon="BLANK1")
         if len(bakes) > MAX_BAKES:
-            more_text = tr("and {count} more").format(count=len(bakes) - MAX_BAKES)
+            more_text = tr("{count} More").format(count=len(bakes) - MAX_BAKES)
             self.layout.label(text=more_text, icon="BLANK1", translate=False)
 
 

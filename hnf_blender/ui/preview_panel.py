@@ -270,7 +270,7 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy h
             for sentence in PREVIEW.exported[:MAX_LINES]:
                 draw_paragraph(box, context, sentence)
             if len(PREVIEW.exported) > MAX_LINES:
-                more_text = tr("and {count} more").format(count=len(PREVIEW.exported) - MAX_LINES)
+                more_text = tr("{count} More").format(count=len(PREVIEW.exported) - MAX_LINES)
                 box.label(text=more_text, translate=False)
             box.operator("hnf.export_copy", icon="COPYDOWN")
         column = layout.column(align=True)

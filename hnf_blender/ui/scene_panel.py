@@ -95,7 +95,7 @@ class HNF_PT_plan(PopoverPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy h
             for line in lines[:MAX_LINES]:
                 draw_paragraph(column, context, f"{line.what}: {line.why}" if line.why else line.what, icon="BLANK1")
             if len(lines) > MAX_LINES:
-                more_text = tr("and {count} more").format(count=len(lines) - MAX_LINES)
+                more_text = tr("{count} More").format(count=len(lines) - MAX_LINES)
                 column.label(text=more_text, icon="BLANK1", translate=False)
 
 

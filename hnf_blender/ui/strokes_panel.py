@@ -1,6 +1,6 @@
 """Strokes panel: list of strokes, menu of primitives, and the settings of the active stroke.
 
-The selection in the list follows the active object of the 3-D view.
+The selection in the list follows the active object of the 3D view.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class HNF_PT_stroke(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
         column.prop(group, "rides")
         column.prop(group, "probe")
         row = make_labelled_row(column, "Feels")
-        material_label = format_display_name(group.material) if group.material else tr("Surface material")
+        material_label = format_display_name(group.material) if group.material else tr("Surface Material")
         row.operator("hnf.stroke_material", text=material_label, icon="MATERIAL", translate=False)
         if group.material:
             row.operator("hnf.stroke_material_auto", text="", icon="X")
@@ -168,7 +168,7 @@ PRIMITIVE_ICONS = {"scrape": "IPO_LINEAR", "rub": "FORCE_VORTEX"}
 def format_primitive(name: str) -> str:
     """Format a primitive (predefined stroke) for the menu: "left-right-soft" → "Left right soft 0.5 N, 100 mm/s"."""
     primitive = PRIMITIVES[name]
-    label = tr(name.replace("-", " ").capitalize())
+    label = tr(name.replace("-", " ").title())
     return f"{label}  {primitive.force:g} N, {primitive.speed * 1e3:g} mm/s"
 
 

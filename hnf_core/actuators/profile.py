@@ -76,7 +76,7 @@ GENERIC_PEAK_M_S2 = 30.0
 
 GENERIC = ActuatorProfile(
     "generic-voice-coil",
-    "Generic voice coil",
+    "Generic Voice Coil",
     "an assumption, no device: 30 m/s² from 20 Hz to 1 kHz, about what small voice coils reach on a fingertip's load",
     range_hz=(20.0, 1000.0),
     peak_m_s2=GENERIC_PEAK_M_S2,
@@ -88,7 +88,7 @@ PROFILES: dict[str, ActuatorProfile] = {
         GENERIC,
         ActuatorProfile(
             "eai-c-mf",
-            "EAI C-MF tactor",
+            "EAI C-MF Tactor",
             "Engineering Acoustics, C-MF product data sheet Rev. 2, 2021: 180–280 Hz; 0.25 A RMS, "
             "0.5 A at most, for less than a tenth of the time",
             range_hz=(180.0, 280.0),
@@ -124,7 +124,7 @@ def make_user_profile(peak_m_s2: float, lowest_hz: float, highest_hz: float) -> 
         )
     return ActuatorProfile(
         USER_PROFILE_NAME,
-        "My actuator",
+        "My Actuator",
         "figures of its owner",
         range_hz=(min(lowest_hz, highest_hz), max(lowest_hz, highest_hz)),
         peak_m_s2=peak_m_s2 or None,

@@ -174,7 +174,7 @@ def _add_measure(actions: Any) -> None:
     parser.add_argument(
         "--profile", default=GENERIC.name, metavar="NAME", help=f"what is known of it so far (default {GENERIC.name})"
     )
-    parser.add_argument("--title", default="Measured actuator", help="its name for people")
+    parser.add_argument("--title", default="Measured Actuator", help="its name for people")
     parser.add_argument("--range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="its range in Hz, if you know it")
     _add_excitation_options(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="PROFILE.json", help="file to write")

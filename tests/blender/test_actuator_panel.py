@@ -122,7 +122,7 @@ def test_a_stroke_is_felt_on_the_virtual_actuator(stroke) -> None:
     assert ACTUATOR.facts.problem == ""
     assert PLAYER_CLIENT.current_status.status.peak > 0.0
     until(lambda: ACTUATOR.facts.phase is Phase.READY)
-    assert "device released" in panel().words.replace("\n", " ")
+    assert "Device Released" in panel().words.replace("\n", " ")
 
 
 def test_a_looped_stroke_goes_on_as_a_and_as_now(stroke) -> None:

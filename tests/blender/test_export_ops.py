@@ -197,11 +197,11 @@ def test_the_panel_says_full_scale_and_what_was_lost(folder) -> None:
     settings.export_format, settings.actuator, settings.own_peak_m_s2 = "ahap", "own", 12.5
     scaled = drawn(HNF_PT_export)
     assert scaled is not None
-    assert "1 means 12.5 m/s² (My actuator" in " ".join(scaled.words.split())
+    assert "1 means 12.5 m/s² (My Actuator" in " ".join(scaled.words.split())
     settings.actuator = "generic-voice-coil"
     generic = drawn(HNF_PT_export)
     assert generic is not None
-    assert "1 means 30 m/s², an assumption (Generic voice coil" in " ".join(generic.words.split())
+    assert "1 means 30 m/s², an assumption (Generic Voice Coil" in " ".join(generic.words.split())
     settings.actuator = "eai-c-mf"
     unstated = drawn(HNF_PT_export)
     assert unstated is not None

@@ -91,8 +91,8 @@ def test_spreads_are_said_as_spans() -> None:
 
 def test_what_the_strokes_are_is_counted() -> None:
     states = [Freshness.FRESH, Freshness.FORCE, Freshness.STALE, Freshness.BROKEN]
-    assert labels.format_counts([StrokeStatus(each) for each in states]) == "2 up to date, 1 to bake, 1 broken"
-    assert labels.format_counts([None]) == "1 not checked"
+    assert labels.format_counts([StrokeStatus(each) for each in states]) == "2 Up to Date, 1 to Bake, 1 Broken"
+    assert labels.format_counts([None]) == "1 Not Checked"
     assert labels.format_counts([]) == ""
 
 

@@ -272,7 +272,7 @@ def test_a_custom_actuator_updates_levels_and_image_at_once(stroke) -> None:
         drawn = controller.refresh(stroke, bpy.context, wait=True)
         told = controller.update_facts("Along", bpy.context.scene)
         assert told.headroom_db == pytest.approx(20.0 * np.log10(peak / told.peak_m_s2), abs=1e-4)
-        assert any("My actuator" in line for line in told.lines)
+        assert any("My Actuator" in line for line in told.lines)
         assert drawn.style.limit_m_s2 == pytest.approx(peak)
         assert not np.array_equal(drawn.image, plain.image)
     settings.own_lowest_hz, settings.own_highest_hz = 2000.0, 1000.0  # the wrong way round

@@ -233,7 +233,7 @@ def test_the_tools_icon_is_one():
 
 
 class Desk:
-    """A 3-D view of 200 × 200 pixels, straight down on 200 × 200 mm, and the events that its window would send."""
+    """A 3D view of 200 × 200 pixels, straight down on 200 × 200 mm, and the events that its window would send."""
 
     def __init__(self):
         from types import SimpleNamespace as Plain
@@ -364,7 +364,7 @@ def test_the_tool_polls_true_only_in_object_mode_over_a_view():
     assert told == []
     assert [may("EDIT_MESH", "VIEW_3D"), may("OBJECT", "TEXT_EDITOR"), may("OBJECT", None)] == [False] * 3
     assert "Object Mode" in told[0]
-    assert "3-D view" in told[1]
+    assert "3D view" in told[1]
 
 
 class Clock:

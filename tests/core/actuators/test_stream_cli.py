@@ -78,7 +78,7 @@ def test_it_says_what_will_happen_and_warns_of_what_is_too_loud(
     told = capsys.readouterr()
     first, second, last = told.out.splitlines()
     assert "2.00 s at 10000 Hz, in m/s²" in first
-    assert "gain 12 dB; at most 30 m/s², an assumption (Generic voice coil)" in second
+    assert "gain 12 dB; at most 30 m/s², an assumption (Generic Voice Coil)" in second
     assert re.search(
         r"2\.00 s played: \d+ blocks, .*ms, 0 underruns; peak \d+% of full scale, [1-9]\d* samples limited", last
     )
@@ -116,7 +116,7 @@ def test_a_full_scale_that_nobody_stated_is_called_an_assumption(
         words = (noise, "--to", f"file:{tmp_path / 'out.wav'}", "--profile", profile)
         assert hnf(*words) == 0
         second = capsys.readouterr().out.splitlines()[1]
-        assert ("30 m/s², an assumption: 'EAI C-MF tactor' does not state" in second) == (profile == "eai-c-mf")
+        assert ("30 m/s², an assumption: 'EAI C-MF Tactor' does not state" in second) == (profile == "eai-c-mf")
         assert hnf(*words, "--json") == 0
         report = json.loads(capsys.readouterr().out)
         assert (report["full_scale_m_s2"], report["full_scale_assumed"]) == (30.0 if assumed else 12.0, assumed)

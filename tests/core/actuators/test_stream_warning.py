@@ -39,13 +39,13 @@ def case_of(name: str, tmp_path: Path) -> tuple[list[object], str]:
     """Words of a stream that is too strong, and why it is."""
     profile = tmp_path / "p.json"
     if name == "peak":
-        return [tone(tmp_path / "x.wav", 40.0, 250.0)], "40 m/s² is more than the 30 m/s² of 'Generic voice coil'"
+        return [tone(tmp_path / "x.wav", 40.0, 250.0)], "40 m/s² is more than the 30 m/s² of 'Generic Voice Coil'"
     if name == "steep":
         write_profile(profile, make_user_profile(30.0, 30.0, 100.0))
-        return [tone(tmp_path / "x.wav", 29.0, 1000.0), "--profile", profile], "changes faster than 'My actuator'"
+        return [tone(tmp_path / "x.wav", 29.0, 1000.0), "--profile", profile], "changes faster than 'My Actuator'"
     if name == "hot":
         loop = ("--loop", "--seconds", 15)
-        return [tone(tmp_path / "x.wav", 29.0, 200.0), *loop], "warms the coil of 'Generic voice coil'"
+        return [tone(tmp_path / "x.wav", 29.0, 200.0), *loop], "warms the coil of 'Generic Voice Coil'"
     # What is made up for is 20 dB stronger behind the inverse filter than in the file.
     frequency = np.geomspace(20.0, 1000.0, 50)
     weak = of_gains(frequency, np.where(frequency < 300.0, 0.05, 1.0).astype(complex))
