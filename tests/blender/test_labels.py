@@ -13,7 +13,8 @@ from hnf_blender.state.labels import PLAN_LABELS, STATUS_LABELS
 from hnf_blender.ui.actuator_panel import PHASE_LABELS
 
 MAX_CHARACTERS = 28
-MINOR = set("a an and as at but by for from in nor of on or per so than the to with".split())
+MINOR = {"a", "an", "and", "as", "at", "but", "by", "for", "from", "in", "nor", "of", "on", "or", "per", "so", "than",
+         "the", "to", "with"}  # fmt: skip
 """Words that are lower case within a label: articles, conjunctions, short prepositions."""
 AS_WRITTEN = {"m", "mm/s", "ms", "m/s²", "mm", "s", "kHz", "dB", "glTF"}
 """Units and names with a case of their own."""
