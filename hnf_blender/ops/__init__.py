@@ -18,6 +18,7 @@ MODULES = (
     "stroke_ops",
     "force_ops",
     "preview_ops",
+    "scrub_ops",
     "actuator_ops",
     "export_ops",
     "learn_ops",

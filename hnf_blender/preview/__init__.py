@@ -180,7 +180,7 @@ def _update_scene(context: Any, updated: set[str], ended: bool, *, is_first: boo
         actuator.tick(context, shown_now.stamp, shown_now.signal)
     settings = scene.hnf
     inputs = (
-        STATE.changes, active and active.name, active and controller.get_image_style(context),
+        STATE.changes, active and active.name, active and controller.get_image_style(context, active.name),
         get_actuator_profile(scene),
         settings.monitor_gain_db,
         tuple((name, status.freshness, status.why) for name, status in STATE.get_statuses(scene).items()),
@@ -204,7 +204,8 @@ def _update_scene(context: Any, updated: set[str], ended: bool, *, is_first: boo
     if scene.sequence_editor is not None and has_linked_strips(scene):
         compat.show_in_sequencer(context.window.workspace, scene)  # A workspace that was added since shows no scene.
     panel_state = shown, _delay_busy(PREVIEW.facts.get(shown), snapshot), get_actuator_profile(scene)
-    if updated or ended or panel_state != snapshot.shown:
+    has_moved = active is not None and controller.update_playhead(active, scene)
+    if updated or ended or has_moved or panel_state != snapshot.shown:
         snapshot.shown = panel_state
         redraw_tab()
     _update_playback(context, updated, context.window.screen.is_animation_playing)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from hnf_core.errors import HnfError
+from hnf_core.units import frame_to_seconds
 
 from ..actuator.sound import Player, Sound
 from ..props.scene_settings import get_actuator_profile
@@ -137,7 +138,7 @@ def refresh(obj: Any, context: Any, *, wait: bool, first: bool = True) -> Previe
     """
     from .synthesis_thread import RenderCache, SynthesisThread, read_current_bake, synthesise_preview
 
-    name, style = obj.name, get_image_style(context)
+    name, style = obj.name, get_image_style(context, obj.name)
     try:
         current = read_current_bake(obj, context.scene)
     except HnfError as error:
@@ -177,12 +178,45 @@ def store_result(name: str, result: PreviewResult) -> None:
 
 def _update_icon(name: str) -> None:
     """Use the image of the shown signal as the stroke's icon."""
-    from ..state.interface import set_icon
+    from ..state.interface import to_bytes
 
     shown = PREVIEW.get_shown(name)
     if shown is not None:
-        # The prefix distinguishes it from the image of a touch query.
-        PREVIEW.icons[name] = set_icon(f"stroke {name}", shown.image)
+        PREVIEW.images[name] = to_bytes(shown.image)
+        _draw_icon(name, shown.style.theme)
+
+
+def _draw_icon(name: str, theme: Theme) -> None:
+    from ..state.interface import set_icon
+    from .stroke_image import draw_playhead
+
+    pixels = draw_playhead(PREVIEW.images[name], PREVIEW.playheads.get(name), theme)
+    PREVIEW.icons[name] = set_icon(f"stroke {name}", pixels)  # A touch query's image has a name without a stroke.
+
+
+def update_playhead(obj: Any, scene: Any) -> bool:
+    """Move the playhead of a stroke's image to the moment that is heard, else to the current frame.
+
+    Only the line is drawn anew, and only where it moves by a pixel. Returns whether it did.
+    """
+    from .stroke_image import find_column
+
+    name, shown = obj.name, PREVIEW.get_shown(obj.name)
+    if shown is None or name not in PREVIEW.images:
+        return False
+    duration_s = max(shown.signal.duration_s, 1e-6)
+    if PREVIEW.sounding == name and PLAYER.is_sounding:
+        seconds = PLAYER.position_s % duration_s
+    else:
+        render, start = scene.render, float(obj.hnf_stroke.start)
+        seconds = frame_to_seconds(float(scene.frame_current_final), start, float(render.fps), float(render.fps_base))
+    fraction = seconds / duration_s if -1e-6 <= seconds <= duration_s + 1e-6 else None
+    before = PREVIEW.playheads.get(name)
+    if (None if fraction is None else find_column(fraction)) == (None if before is None else find_column(before)):
+        return False
+    PREVIEW.playheads[name] = fraction
+    _draw_icon(name, shown.style.theme)
+    return True
 
 
 def collect_results() -> set[str]:
@@ -346,10 +380,13 @@ def compute_levels(shown: PreviewResult, profile: ActuatorProfile) -> Levels:
     return _levels[key]
 
 
-def get_image_style(context: Any) -> ImageStyle:
+def get_image_style(context: Any, name: str) -> ImageStyle:
+    """Return the style of a stroke's image; its ghost is the signal that was kept to compare with."""
     from .stroke_image import ImageStyle
 
-    return ImageStyle(_get_theme(context), get_actuator_profile(context.scene).peak_m_s2, logarithmic=True)
+    kept = PREVIEW.references.get(name)
+    limit = get_actuator_profile(context.scene).peak_m_s2
+    return ImageStyle(_get_theme(context), limit, logarithmic=True, ghost=None if kept is None else kept.as_ghost)
 
 
 def _get_theme(context: Any) -> Theme:

@@ -8,6 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from .synthesis_thread import PreviewResult, SynthesisThread
 
 
@@ -72,6 +75,10 @@ class PreviewState:
         Why there is no valid signal.
     facts, icons : dict
         What the panels show.
+    images : dict
+        Image of the shown signal as bytes, without the playhead.
+    playheads : dict
+        Fraction of the stroke's time at which the image's playhead stands.
     play_when_ready : str
         Stroke to be played when its signal arrives.
     sounding : str
@@ -93,6 +100,8 @@ class PreviewState:
         self.problems: dict[str, str] = {}
         self.facts: dict[str, PreviewFacts] = {}
         self.icons: dict[str, int] = {}
+        self.images: dict[str, NDArray[np.uint8]] = {}
+        self.playheads: dict[str, float | None] = {}
         self.play_when_ready = ""
         self.sound_problem = ""
         self.sounding = ""
@@ -106,7 +115,10 @@ class PreviewState:
 
     @property
     def _by_name(self) -> tuple[dict[str, Any], ...]:
-        return self.results, self.references, self.requested, self.outdated, self.problems, self.facts, self.icons
+        return (
+            self.results, self.references, self.requested, self.outdated, self.problems, self.facts, self.icons,
+            self.images, self.playheads,
+        )  # fmt: skip
 
     def discard_except(self, names: set[str]) -> None:
         """Discard strokes whose names do not exist any more."""

@@ -13,6 +13,7 @@ import traceback
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import bpy
@@ -34,7 +35,7 @@ from ..props.stroke_settings import FORCE_MAX_N
 from ..state.session_state import suppress_change_tracking
 from ..touch.stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake
 from ..touch.synthesise import add_provenance, compute_mean_share
-from .stroke_image import ImageStyle, Rgba, draw_stroke_image
+from .stroke_image import Ghost, ImageStyle, Rgba, draw_stroke_image
 
 MAX_CACHED_BAKES = 16
 """Number of decoded bakes in the cache."""
@@ -126,7 +127,7 @@ class PreviewResult:
         Warnings of the synthesis, and those on heights that are not believed, as `hnf touch` reports them.
     rendered : int
         Number of samples that had to be rendered.
-    image : (512, 512, 4) float32 array
+    image : (340, 340, 4) float32 array
         Image for the panel.
     style : ImageStyle
         Style of the image.
@@ -141,6 +142,11 @@ class PreviewResult:
     rendered: int
     image: Rgba
     style: ImageStyle
+
+    @cached_property
+    def as_ghost(self) -> Ghost:
+        """Signal and action for the image of another; the same object each time, since images are compared by it."""
+        return Ghost(self.signal, self.action)
 
 
 @dataclass

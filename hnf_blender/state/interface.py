@@ -36,17 +36,30 @@ def _tag_regions(kind: str) -> None:
 _previews: Any = None
 
 
-def set_icon(name: str, pixels: NDArray[np.float32]) -> int:
-    """Store an image (h, w, 4), bottom row first, as icon `name`; return the icon id, 0 without a window."""
+def to_bytes(pixels: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Convert an image from 0–1 to 0–255; bytes stay as they are."""
+    import numpy as np
+
+    if pixels.dtype == np.uint8:
+        return np.asarray(pixels, dtype=np.uint8)
+    return np.asarray(np.rint(255.0 * np.clip(pixels, 0.0, 1.0)), dtype=np.uint8)
+
+
+def set_icon(name: str, pixels: NDArray[np.float32] | NDArray[np.uint8]) -> int:
+    """Store an image (h, w, 4), bottom row first, as icon `name`; return the icon id, 0 without a window.
+
+    Bytes are stored at once, floats are converted.
+    """
     global _previews
     import bpy.utils.previews
+    import numpy as np
 
     if _previews is None:
         _previews = bpy.utils.previews.new()
     image = _previews[name] if name in _previews else _previews.new(name)
     height, width = pixels.shape[:2]
     image.image_size = (width, height)
-    image.image_pixels_float.foreach_set(pixels.ravel())
+    image.image_pixels.foreach_set(np.ascontiguousarray(to_bytes(pixels)).view(np.int32).ravel())
     return int(image.icon_id)
 
 

@@ -104,13 +104,33 @@ MENU_ENTRIES = (
 """Blender's menus and panels, and the function that draws at the end of each."""
 
 
+_keymap_items: list[tuple[Any, Any]] = []
+"""Keymaps with the items that were added to them."""
+
+
+def _add_keys() -> None:
+    """Let a press on the picture of the Touch tab scrub; its operator leaves all other presses alone."""
+    config = bpy.context.window_manager.keyconfigs.addon
+    if config is not None:
+        keymap = config.keymaps.new("3D View Generic", space_type="VIEW_3D")
+        _keymap_items.append((keymap, keymap.keymap_items.new("hnf.scrub", "LEFTMOUSE", "PRESS")))
+
+
+def _remove_keys() -> None:
+    for keymap, item in _keymap_items:
+        keymap.keymap_items.remove(item)
+    _keymap_items.clear()
+
+
 def register() -> None:
+    _add_keys()
     bpy.utils.register_tool(HNF_TOOL_stroke, after={"builtin.measure"}, separator=True)
     for menu, entry in MENU_ENTRIES:
         getattr(bpy.types, menu).append(entry)
 
 
 def unregister() -> None:
+    _remove_keys()
     for menu, entry in reversed(MENU_ENTRIES):
         getattr(bpy.types, menu).remove(entry)
     bpy.utils.unregister_tool(HNF_TOOL_stroke)

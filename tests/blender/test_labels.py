@@ -55,7 +55,7 @@ def all_labels() -> set[str]:
     return found - {label for _, label, _ in list_library_items()}  # names of materials
 
 
-def test_every_label_is_title_case_short_american_and_no_sentence(switched_on: None) -> None:  # noqa: F811
+def test_every_label_keeps_to_the_guidelines(switched_on: None) -> None:  # noqa: F811
     labels = all_labels()
     assert len(labels) > 150
     assert {label: breach for label in sorted(labels) if (breach := find_breach(label))} == {}

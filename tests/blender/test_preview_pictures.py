@@ -17,17 +17,24 @@ from hnf_blender.preview.sound_device import (
 )
 from hnf_blender.preview.stroke_image import (
     DARK,
+    FRAME_PX,
     LIGHT,
+    PLAYHEAD_PX,
     SIZE_PX,
     SPECTROGRAM_ROWS,
     WAVE_ROWS,
+    Ghost,
     ImageStyle,
     compute_column_extrema,
+    draw_playhead,
     draw_stroke_image,
+    find_column,
+    find_on_screen,
     rasterise_text,
     round_up_nicely,
 )
 from hnf_blender.preview.timeline_playback import FrameClock, PlacedSignal, has_jumped, mix_strokes
+from hnf_blender.state.interface import to_bytes
 from hnf_core.action.action import Action
 from hnf_core.export.plots.figure import FORCE_COLOUR, SPEED_COLOUR
 from hnf_core.signal import Signal
@@ -164,12 +171,66 @@ def test_the_limit_is_drawn_where_it_lies() -> None:
 
     def rows(limit):
         track = draw_stroke_image(tone(200.0, peak=1.9), hand(), ImageStyle(DARK, limit))[::-1][slice(*WAVE_ROWS)]
-        return np.flatnonzero((np.abs(track[:, :8, :3] - look).max(axis=2) < 1e-6).sum(axis=1) >= 4)
+        return np.flatnonzero(
+            (np.abs(track[:, FRAME_PX : FRAME_PX + 8, :3] - look).max(axis=2) < 1e-6).sum(axis=1) >= 4
+        )
 
     height = WAVE_ROWS[1] - WAVE_ROWS[0]
     assert rows(1.0)[[0, -1]] == pytest.approx([0.25 * height, 0.75 * height], abs=2)
     assert len(rows(50.0)) == 0
     assert len(rows(None)) == 0
+
+
+@given(st.floats(0.0, 1.0), st.sampled_from([DARK, LIGHT]))
+@settings(max_examples=50)
+def test_the_playhead_is_one_line_within_the_frame(fraction, theme) -> None:
+    plain = np.zeros((SIZE_PX, SIZE_PX, 4), dtype=np.uint8)
+    marked = draw_playhead(plain, fraction, theme)
+    changed = np.flatnonzero((marked != plain).any(axis=(0, 2)))
+    assert len(changed) == PLAYHEAD_PX
+    assert FRAME_PX <= changed[0] <= find_column(fraction) <= changed[-1] < SIZE_PX - FRAME_PX
+    assert draw_playhead(plain, None, theme) is plain
+
+
+def test_a_ghost_shows_where_it_is_the_larger_one() -> None:
+    """A of 4 m/s² behind B of 1 m/s²: one scale of 5 m/s², B in its own color, A beyond it; the action's force, too."""
+    faint, strong = np.array(DARK.ghost, np.float32), np.array(DARK.wave, np.float32)
+
+    def count(image, colour, columns=slice(SIZE_PX)):
+        """Largest number of rows with the color in one of the columns."""
+        track = image[::-1][slice(*WAVE_ROWS), columns, :3]
+        return int((np.abs(track - colour).max(axis=-1) < 1e-6).sum(axis=0).max())
+
+    alone = draw_stroke_image(tone(200.0, peak=1.0), hand(), ImageStyle(DARK))
+    ghost = Ghost(tone(200.0, peak=4.0, seconds=0.5), hand(101))
+    image = draw_stroke_image(tone(200.0, peak=1.0), hand(), ImageStyle(DARK, ghost=ghost))
+    height = WAVE_ROWS[1] - WAVE_ROWS[0]
+    assert count(alone, faint) == 0
+    assert count(image, faint, slice(SIZE_PX // 2)) >= 0.5 * height
+    assert count(image, faint, slice(SIZE_PX // 2 + 4, None)) == 0  # A is half as long.
+    assert 0.1 * height < count(image, strong) < 0.3 * height < count(alone, strong)
+
+
+@given(st.integers(90, 360), st.tuples(st.integers(0, 60), st.integers(0, 60)), st.integers(0, 2**31), st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_the_picture_is_found_on_a_screen(size, corner, seed, is_dark) -> None:
+    """With noise around it; and it is not found from beside it."""
+    (left, bottom), theme = corner, DARK if is_dark else LIGHT
+    image = to_bytes(draw_stroke_image(tone(150.0), hand(), ImageStyle(theme, 1.0, True)))
+    image = draw_playhead(image, 0.5, theme)
+    nearest = ((np.arange(size) + 0.5) * SIZE_PX / size).astype(int)
+    scaled = image[nearest][:, nearest]
+    random = np.random.default_rng(seed)
+    screen = random.integers(0, 256, (bottom + size + 20, left + size + 20, 4), dtype=np.uint8)
+    screen[bottom : bottom + size, left : left + size] = scaled
+    inside = size // 8 + int(random.integers(size - size // 4)), size // 8 + int(random.integers(size - size // 4))
+    found = find_on_screen(screen, left + inside[0], bottom + inside[1], theme)
+    assert found is not None
+    edge = FRAME_PX * size / SIZE_PX + 2.0
+    assert found[0] == pytest.approx(left, abs=edge)
+    assert found[1] == pytest.approx(left + size - 1, abs=edge)
+    assert find_on_screen(screen, left + size + 10, bottom + size // 2, theme) is None
+    assert find_on_screen(screen, -1, 5, theme) is None
 
 
 def test_both_themes_can_be_read() -> None:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import bpy
+import numpy as np
 from drive import scenery
 from drive.addon import baked, heard, kept, ours, state, strokes
 from drive.tab import all_open
@@ -73,6 +74,52 @@ def check_everything_baked(stage):
     yield from stage.until("its signal is there", lambda: heard("Stroke") is not None, 20.0)
     yield from settled(stage, "baked")
     stage.expect("four strokes with bakes", len(strokes()) == 4 and all(kept()[obj.name][-1] for obj in strokes()))
+
+
+def picture_on_screen(stage, name):
+    """Columns of the preview's picture and a row within it, in pixels of the window."""
+    image = bpy.data.images.load(str(stage.photograph(name)))
+    pixels = np.empty(len(image.pixels), dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = np.rint(255.0 * pixels).astype(np.uint8).reshape(image.size[1], image.size[0], 4)
+    bpy.data.images.remove(image)
+    drawing, box = ours("preview.stroke_image"), stage.region("UI")
+    theme = heard("Stroke").style.theme
+    for y in range(box.y + box.height - 100, box.y, -10):
+        columns = drawing.find_on_screen(pixels, box.x + box.width // 2 - 20, y, theme)
+        if columns:
+            return columns, y - 20
+    return None, 0
+
+
+def check_a_press_on_the_picture_scrubs(stage):
+    """At both sizes of the interface; a press on anything else in the tab moves no frame."""
+    scene = bpy.context.scene
+    bpy.context.view_layer.objects.active = bpy.data.objects["Stroke"]
+    for scale in (1.0, 2.0):
+        bpy.context.preferences.view.ui_scale = scale
+        yield 0.6
+        yield from stage.widen_sidebar(int(340 * scale))
+        yield from stage.picture(f"playhead-{scale:g}", settle=1.0)
+        columns, y = picture_on_screen(stage, f"playhead-{scale:g}")
+        stage.require("the picture is found", columns, scale)
+        first, last = columns
+        stage.expect("it is as large as the interface", abs(last - first - 170 * scale) <= 6 * scale, columns)
+        scene.frame_set(1)
+        yield 0.2
+        at = [(round(first + share * (last - first)), y) for share in (0.1, 0.3, 0.5, 0.75)]
+        yield from stage.drag(at, pause=0.15)
+        yield 0.4
+        wanted = 1.0 + 0.75 * 0.6 * scene.render.fps
+        stage.expect("the frame follows", abs(scene.frame_current - wanted) <= 1.0, (scene.frame_current, wanted))
+        yield from stage.picture(f"scrubbed-{scale:g}")
+        yield from stage.drag([(first - 8, y), (first - 8, y - 30), (last, y - 30)], pause=0.15)
+        yield 0.4
+        stage.expect("beside it nothing moves", abs(scene.frame_current - wanted) <= 1.0, scene.frame_current)
+        scene.frame_set(1)
+    bpy.context.preferences.view.ui_scale = 1.0
+    yield 0.6
+    yield from stage.widen_sidebar(340)
 
 
 def check_light_theme(stage):
