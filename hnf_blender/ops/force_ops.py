@@ -2,6 +2,9 @@
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
+import contextlib
+import math
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -11,7 +14,7 @@ from hnf_core.errors import HnfError
 
 from .. import compat
 from ..bridge.scene.object_size import get_metres_per_unit
-from ..props.scene_settings import find_index, get_active_stroke
+from ..props.scene_settings import find_index, get_active_stroke, list_strokes
 from ..props.stroke_settings import FORCE_MAX_N
 from ..translations import tr
 from .context import fail_poll, format_error, report_errors
@@ -204,6 +207,47 @@ class HNF_OT_stroke_move(bpy.types.Operator):  # type: ignore[misc]
         return {"FINISHED"}
 
 
+class HNF_OT_stroke_after_last(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.stroke_after_last"
+    bl_label = "Start After the Last"
+    bl_description = "Let the active stroke begin where the last of the others has ended; muted ones do not count"
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return poll_editable_stroke(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..bridge.stroke.edit_keyframes import set_start_frame
+
+        stroke, scene = get_active_stroke(context), context.scene
+        others = [obj for obj in list_strokes(scene) if obj != stroke and not obj.hnf_stroke.mute]
+        end = find_last_end(others, scene, get_metres_per_unit(scene))
+        if end is None:
+            self.report({"WARNING"}, tr("There is no other stroke to start after"))
+            return {"CANCELLED"}
+        frame = float(math.ceil(end - 1e-3))
+        try:
+            set_start_frame(stroke, frame)
+        except HnfError as error:
+            self.report({"ERROR"}, format_error(error))
+            return {"CANCELLED"}
+        template = tr("{name} begins at frame {frame}")
+        self.report({"INFO"}, template.format(name=stroke.name, frame=f"{frame:g}"))
+        return {"FINISHED"}
+
+
+def find_last_end(strokes: Iterable[Any], scene: Any, metres_per_unit: float) -> float | None:
+    """Return the frame at which the last of some strokes ends; None without one that can be read."""
+    from ..bridge.stroke.read_stroke import get_motion_end
+
+    ends = []
+    for stroke in strokes:
+        with contextlib.suppress(HnfError):  # Its own status says why it cannot be read.
+            ends.append(get_motion_end(stroke, scene, metres_per_unit))
+    return max(ends, default=None)
+
+
 class HNF_OT_stroke_constant(bpy.types.Operator):  # type: ignore[misc]
     bl_idname = "hnf.stroke_constant"
     bl_label = "Make Constant"
@@ -301,6 +345,7 @@ class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]
 CLASSES = (
     HNF_OT_stroke_key_force,
     HNF_OT_stroke_move,
+    HNF_OT_stroke_after_last,
     HNF_OT_stroke_constant,
     HNF_OT_stroke_copy_force,
     HNF_OT_force_graph,

@@ -11,8 +11,15 @@ from hnf_core.errors import HnfError, SceneError
 
 from ..bridge.scene.object_size import get_metres_per_unit
 from ..compat import own_action
-from ..props.object_cache import CHANGES
-from ..props.scene_settings import find_index, find_stroke, get_active_stroke, has_strokes, list_strokes
+from ..props.object_cache import CHANGES, ChangeCache
+from ..props.scene_settings import (
+    find_index,
+    find_stroke,
+    get_active_stroke,
+    has_strokes,
+    list_cached_strokes,
+    list_strokes,
+)
 from ..state.labels import wrap_text
 from ..translations import tr
 from .context import (
@@ -304,22 +311,83 @@ class HNF_OT_stroke_delete(StrokeObjectOperator, bpy.types.Operator):  # type: i
 
     def work(self, context: Any, stroke: Any) -> str:
         scene = context.scene
-        name, curve = stroke.name, stroke.data
+        name = stroke.name
         require_local(stroke, "Delete it in that file, or unlink its collection in the Outliner. Nothing was deleted.")
         if stroke.hnf_stroke.was_curve:
             return convert_to_curve(stroke)
-        strokes = list_strokes(scene)
-        index = strokes.index(stroke)
-        remaining = [candidate for candidate in strokes if candidate != stroke]
-        animation = stroke.animation_data
-        action = None if animation is None else animation.action
-        bpy.data.objects.remove(stroke)
-        for data, collection in ((curve, bpy.data.curves), (action, bpy.data.actions)):
-            if data is not None and data.users == 0:
-                collection.remove(data)
-        if remaining:
-            scene.hnf.stroke_index = max(0, find_index(scene.objects, remaining[min(index, len(remaining) - 1)]))
+        delete_stroke(scene, stroke)
         return tr("Deleted {name}").format(name=name)
+
+
+def delete_stroke(scene: Any, stroke: Any) -> None:
+    """Delete a stroke with its curve and keyframes, and select the next one in the list."""
+    strokes, curve = list_strokes(scene), stroke.data
+    index = strokes.index(stroke)
+    remaining = [candidate for candidate in strokes if candidate != stroke]
+    animation = stroke.animation_data
+    action = None if animation is None else animation.action
+    bpy.data.objects.remove(stroke)
+    for data, collection in ((curve, bpy.data.curves), (action, bpy.data.actions)):
+        if data is not None and data.users == 0:
+            collection.remove(data)
+    if remaining:
+        scene.hnf.stroke_index = max(0, find_index(scene.objects, remaining[min(index, len(remaining) - 1)]))
+
+
+def list_orphans(scene: Any) -> list[Any]:
+    """Return the strokes whose chosen surface was deleted from the scene: their settings alone keep it in the file."""
+    surfaces = ((obj, obj.hnf_stroke.surface) for obj in list_cached_strokes(scene))
+    return [obj for obj, surface in surfaces if surface is not None and find_index(scene.objects, surface) < 0]
+
+
+ORPHANS = ChangeCache()
+"""Number of a scene's orphans, which a panel asks for at each redraw."""
+
+
+def count_orphans(scene: Any) -> int:
+    """Return the number of strokes whose surface was deleted, from the cache."""
+    return int(ORPHANS.get(scene.session_uid, lambda: len(list_orphans(scene))))
+
+
+class HNF_OT_strokes_delete_orphans(bpy.types.Operator):  # type: ignore[misc]
+    bl_idname = "hnf.strokes_delete_orphans"
+    bl_label = "Delete Orphaned Strokes"
+    bl_description = "Delete all strokes whose surface was deleted from the scene; your own curves become plain ones"
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not poll_object_mode(cls, context):
+            return False
+        if not count_orphans(context.scene):
+            return fail_poll(cls, "Every stroke still has its surface")
+        return True
+
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        names = ", ".join(obj.name for obj in list_orphans(context.scene))
+        return set(
+            context.window_manager.invoke_confirm(
+                self, event, title=tr("Delete Orphaned Strokes"), message=names, confirm_text=tr("Delete")
+            )
+        )
+
+    def execute(self, context: Any) -> set[str]:
+        orphans = list_orphans(context.scene)
+        linked = [obj.name for obj in orphans if obj.library is not None]
+        names = [obj.name for obj in orphans if obj.library is None]
+        for obj in (obj for obj in orphans if obj.name in names):
+            if obj.hnf_stroke.was_curve:
+                convert_to_curve(obj)
+            else:
+                delete_stroke(context.scene, obj)
+        CHANGES.mark_changed()
+        if linked:
+            template = tr("Linked and not changed: {names}")
+            self.report({"WARNING"}, template.format(names=", ".join(linked)))
+        if not names:
+            return {"CANCELLED"}
+        self.report({"INFO"}, tr("Deleted {name}").format(name=", ".join(names)))
+        return {"FINISHED"}
 
 
 class HNF_OT_stroke_to_curve(StrokeObjectOperator, bpy.types.Operator):  # type: ignore[misc]
@@ -437,6 +505,7 @@ CLASSES = (
     HNF_OT_stroke_add,
     HNF_OT_stroke_from_curve,
     HNF_OT_stroke_delete,
+    HNF_OT_strokes_delete_orphans,
     HNF_OT_stroke_to_curve,
     HNF_OT_stroke_duplicate,
     HNF_OT_stroke_select,

@@ -36,7 +36,7 @@ def _tag_regions(kind: str) -> None:
 _previews: Any = None
 
 
-def to_bytes(pixels: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.uint8]:
+def to_bytes(pixels: NDArray[Any]) -> NDArray[np.uint8]:
     """Convert an image from 0–1 to 0–255; bytes stay as they are."""
     import numpy as np
 
@@ -45,7 +45,7 @@ def to_bytes(pixels: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.uint
     return np.asarray(np.rint(255.0 * np.clip(pixels, 0.0, 1.0)), dtype=np.uint8)
 
 
-def set_icon(name: str, pixels: NDArray[np.float32] | NDArray[np.uint8]) -> int:
+def set_icon(name: str, pixels: NDArray[Any]) -> int:
     """Store an image (h, w, 4), bottom row first, as icon `name`; return the icon id, 0 without a window.
 
     Bytes are stored at once, floats are converted.

@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from ..actuator.actuator_state import ACTUATOR
+from ..ops.stroke_ops import count_orphans, list_orphans
 from ..preview.preview_state import PREVIEW, PreviewFacts, get_preview_facts, get_preview_icon
 from ..props.scene_settings import CHOICE_BY_NAME, get_active_stroke, get_shown_profile, list_cached_strokes
 from ..state.labels import describe_freshness, describe_status, format_counts
@@ -122,6 +123,9 @@ def draw_remark(layout: Any, context: Any, stroke: Any) -> None:
         row.label(text="Actuator Does Not Play", icon="ERROR")
     elif outcome is not None and not outcome.ok:
         row.label(text="Bake Has Problems", icon="ERROR")
+    elif count_orphans(context.scene) and stroke in list_orphans(context.scene):
+        row.label(text="Surface Was Deleted", icon="ERROR")
+        row.operator("hnf.strokes_delete_orphans", text="Delete Strokes…")
     elif doubted is not None:
         row.label(text="Height Not Believed", icon="ERROR")
         row.prop(doubted.hnf_touch, "height_as_authored", text="As Authored", toggle=True)

@@ -3,7 +3,7 @@
 The selection in the list follows the active object of the 3D view.
 """
 
-from __future__ import annotations
+# No `from __future__ import annotations`: Blender reads the annotations of the list as values.
 
 from collections.abc import Sequence
 from typing import Any
@@ -125,6 +125,7 @@ class HNF_PT_stroke_time(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[mi
             row.operator("hnf.stroke_move", text=tr("Frame {frame}…").format(frame=f"{group.start:g}"), translate=False)
         else:
             column.prop(group, "start")
+        make_labelled_row(column, "").operator("hnf.stroke_after_last")
         if keyed:
             draw_paragraph(column, context, tr("Progress keys control the timing"), icon="KEY_HLT")
         else:
@@ -186,8 +187,22 @@ class HNF_MT_stroke_add(bpy.types.Menu):  # type: ignore[misc]  # bpy has no typ
         layout.operator("hnf.stroke_from_curve", text="From the Selected Curve", icon="OUTLINER_OB_CURVE")
 
 
+ORDER_ITEMS = (
+    ("SURFACE", "Surface", "By surface, then by name", "OBJECT_DATA", 0),
+    ("START", "Start", "By the frame at which each begins", "TIME", 1),
+)
+
+
 class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]
     """List of strokes with the state of their bake; a click selects the stroke in the scene too."""
+
+    order: bpy.props.EnumProperty(name="Order", description="What the list is sorted by", items=ORDER_ITEMS)
+
+    def draw_filter(self, _context: Any, layout: Any) -> None:
+        row = layout.row(align=True)
+        row.prop(self, "filter_name", text="", icon="VIEWZOOM")
+        row.prop(self, "order", text="", icon_only=True)
+        row.prop(self, "use_filter_sort_reverse", text="", icon="SORT_DESC")
 
     def draw_item(
         self, context: Any, layout: Any, _data: Any, obj: Any, _icon: int, _active_data: Any, _active: str, _index: int
@@ -214,15 +229,20 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]
         switches.prop(obj.hnf_stroke, "mute", text="", icon=mute, emboss=False)
 
     def filter_items(self, _context: Any, data: Any, name: str) -> tuple[list[int], list[int]]:
-        """Return the flags and the order of the scene's strokes: shown if the name matches, sorted by name."""
+        """Return the flags and the order of the scene's strokes.
+
+        Shown are those whose name or surface matches, sorted by what is listed, which begins with the surface, or by
+        their start.
+        """
         numbered, query = STROKES.list_indexed(data), self.filter_name.lower()
         shown = [0] * len(getattr(data, name))
+        keys: list[Any] = []
         for index, obj in numbered:
-            if query in obj.name.lower():
+            listed, surface = format_listed_name(obj, None).lower(), obj.hnf_stroke.surface
+            if query in f"{obj.name}\n{listed}\n{'' if surface is None else surface.name}".lower():
                 shown[index] = self.bitflag_filter_item
-        return shown, compute_order(
-            [format_listed_name(obj, None).lower() for _, obj in numbered], [index for index, _ in numbered], len(shown)
-        )
+            keys.append((float(obj.hnf_stroke.start), listed) if self.order == "START" else listed)
+        return shown, compute_order(keys, [index for index, _ in numbered], len(shown))
 
 
 def format_listed_name(obj: Any, status: StrokeStatus | None) -> str:
@@ -231,18 +251,18 @@ def format_listed_name(obj: Any, status: StrokeStatus | None) -> str:
     return put_surface_first(obj.name, surface.name if surface is not None else status.object_name if status else "")
 
 
-def compute_order(names: Sequence[str], indices: Sequence[int], count: int) -> list[int]:
-    """Return the new index of each of `count` objects: the named ones sorted first, all others after them.
+def compute_order(keys: Sequence[Any], indices: Sequence[int], count: int) -> list[int]:
+    """Return the new index of each of `count` objects: those with keys sorted first, all others after them.
 
     The others keep their order. The list of strokes uses it, since Blender's own sort would sort all objects of the
     scene at each redraw.
 
     Parameters
     ----------
-    names : sequence of str
-        Names of the objects at `indices`.
+    keys : sequence
+        What the objects at `indices` are sorted by.
     indices : sequence of int
-        Ascending indices of the named objects.
+        Ascending indices of the sorted objects.
     count : int
         Number of all objects.
     """
@@ -250,7 +270,7 @@ def compute_order(names: Sequence[str], indices: Sequence[int], count: int) -> l
     for end in (*indices, count):
         order[begin:end] = range(next_index, next_index + end - begin)
         begin, next_index = end + 1, next_index + end - begin
-    for rank, index in enumerate(sorted(range(len(indices)), key=names.__getitem__)):
+    for rank, index in enumerate(sorted(range(len(indices)), key=keys.__getitem__)):
         order[indices[index]] = rank
     return order
 

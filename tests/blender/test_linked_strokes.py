@@ -53,6 +53,7 @@ def test_a_linked_curve_becomes_no_stroke(linked):
     ("name", "settings"),
     [
         ("stroke_move", {"frame": 50.0}),
+        ("stroke_after_last", {}),
         ("stroke_key_force", {"force_n": 3.0}),
         ("stroke_material", {"name": "oak-wood"}),
         ("stroke_material_auto", {}),

@@ -202,6 +202,9 @@ def warn(kind: str, stroke: bpy.types.Object) -> str:
         status, mends = status._replace(warnings=(note, "Another.")), "hnf.set_real_length"
     elif kind == "guess":
         status, mends = status._replace(confidence=0.1), "hnf.stroke_material"
+    elif kind == "surface":
+        bpy.context.scene.collection.objects.unlink(stroke.hnf_stroke.surface)
+        mends = "hnf.strokes_delete_orphans"
     elif kind == "bake":
         STATE.last_job = LastJob(False, "The bake stopped. Bake again.", ("Killed",))
     STATE.get_statuses(bpy.context.scene)[stroke.name] = status
@@ -209,7 +212,14 @@ def warn(kind: str, stroke: bpy.types.Object) -> str:
     return mends
 
 
-KINDS = ("", "sound", "height", "scale", "guess", "bake")
+def test_the_list_is_searched_and_sorted() -> None:
+    recorder = Recorder()
+    listed = bpy.types.HNF_UL_strokes
+    listed.draw_filter(SimpleNamespace(bl_rna=listed.bl_rna), context_of(), recorder)
+    assert recorder.props == ["filter_name", "order", "use_filter_sort_reverse"]
+
+
+KINDS = ("", "sound", "height", "scale", "guess", "bake", "surface")
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -43,6 +43,25 @@ def test_it_shows_strokes_alone_in_the_order_of_blenders_own(warm_bake) -> None:
     assert sorted(order) == list(range(len(scene.objects)))
 
 
-def filtered(scene, wanted: str = ""):
-    asked = SimpleNamespace(filter_name=wanted, bitflag_filter_item=1 << 30)
+def test_it_is_sorted_by_surface_or_by_start_and_found_by_surface(warm_bake) -> None:
+    plate, _ = small_scene()
+    bpy.data.objects["Along"].hnf_stroke.start = 30.0
+    for name, start in (("A on Plate", 20.0), ("B", 10.0)):
+        line_stroke(name, surface=plate).hnf_stroke.start = start
+    scene = bpy.context.scene
+    assert listed(scene) == ["Along", "B", "A on Plate"]  # the last is listed as "Plate: A"
+    assert listed(scene, order="START") == ["B", "A on Plate", "Along"]
+    assert len(listed(scene, "plate")) == 3
+    assert listed(scene, "no such") == []
+
+
+def listed(scene, wanted: str = "", order: str = "SURFACE") -> list[str]:
+    """Names of the strokes that are shown, from the top."""
+    shown, places = filtered(scene, wanted, order)
+    ranked = sorted(zip(places, shown, scene.objects, strict=True), key=lambda each: each[0])
+    return [obj.name for _, flag, obj in ranked if flag]
+
+
+def filtered(scene, wanted: str = "", order: str = "SURFACE"):
+    asked = SimpleNamespace(filter_name=wanted, bitflag_filter_item=1 << 30, order=order)
     return HNF_UL_strokes.filter_items(asked, bpy.context, scene, "objects")

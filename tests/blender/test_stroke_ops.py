@@ -11,7 +11,7 @@ from builders import add_plane, datablock_names
 from panel_recorder import Recorder, rna_of
 from stroke_builders import LINE, act, add_stroke, key, keyed_fcurves, read
 
-from hnf_blender.bridge.stroke.read_stroke import list_strokes
+from hnf_blender.bridge.stroke.read_stroke import get_motion_end, list_strokes
 from hnf_blender.ops.stroke_ops import describe_words
 from hnf_blender.props.scene_settings import find_namesake, get_active_stroke
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
@@ -422,3 +422,36 @@ def test_a_stroke_too_fast_for_a_hand_is_made_constant():
     speed = np.gradient(timeline.position) / np.gradient(timeline.frames) * fps
     assert np.median(speed) == pytest.approx(0.06, rel=0.02)
     assert (timeline.force[0], timeline.force[-1]) == (pytest.approx(0.5), pytest.approx(2.0, abs=0.05))
+
+
+def test_a_stroke_begins_where_the_last_one_has_ended() -> None:
+    """Muted strokes and its own end do not count, and the keys move along."""
+    plane, scene = add_plane(), bpy.context.scene
+    first, second, last = (add_stroke(LINE, name=name, surface=plane) for name in "ABC")
+    first.hnf_stroke.start, second.hnf_stroke.start, second.hnf_stroke.mute = 11.0, 500.0, True
+    key(last, "force", (1, 1.0), (9, 2.0))
+    select(last)
+    end = get_motion_end(first, scene, 1.0)
+    for _ in range(2):
+        assert bpy.ops.hnf.stroke_after_last() == {"FINISHED"}
+        assert end <= last.hnf_stroke.start < end + 1.0
+        assert keys_of(last)[0][0] == last.hnf_stroke.start
+    bpy.data.objects.remove(first)
+    assert bpy.ops.hnf.stroke_after_last() == {"CANCELLED"}
+
+
+def test_strokes_of_a_deleted_surface_are_deleted_together() -> None:
+    plane, other = add_plane(), add_plane()
+    gone = [add_stroke(LINE, name=name, surface=plane) for name in "AB"]
+    free, own = add_stroke(LINE, name="D"), add_stroke(LINE, name="E", surface=plane, was_curve=True)
+    add_stroke(LINE, name="C", surface=other)
+    assert not bpy.ops.hnf.strokes_delete_orphans.poll()
+    curves = {obj.data.name for obj in gone}
+    select(plane)
+    assert bpy.ops.object.delete() == {"FINISHED"}
+    assert bpy.ops.hnf.strokes_delete_orphans() == {"FINISHED"}
+    assert sorted(obj.name for obj in list_strokes(bpy.context.scene)) == ["C", "D"]
+    assert not own.hnf_stroke.is_stroke
+    assert free.hnf_stroke.is_stroke
+    assert not curves & {curve.name for curve in bpy.data.curves}
+    assert not bpy.ops.hnf.strokes_delete_orphans.poll()
