@@ -19,6 +19,7 @@ MODULES = (
     "force_ops",
     "preview_ops",
     "scrub_ops",
+    "scale_ops",
     "actuator_ops",
     "export_ops",
     "learn_ops",

@@ -48,6 +48,8 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy 
     bl_order = 0
 
     def draw(self, context: Any) -> None:
+        from ..bridge.splats.splat_cloud import TOUCHABLE_SURFACES
+
         layout, stroke = self.layout, get_active_stroke(context)
         strokes = list_cached_strokes(context.scene)
         draw_first_step(layout, context, strokes)
@@ -59,6 +61,8 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy 
         draw_main_button(layout, context, stroke, strokes)
         facts, image = get_preview_facts(stroke), get_preview_icon(stroke)
         if stroke is None:
+            if not context.scene.hnf.metres_per_unit and TOUCHABLE_SURFACES.list_objects(context.scene):
+                draw_missing_scale(layout.row(align=True))  # A reconstruction was just imported.
             return
         draw_remark(layout, context, stroke)
         if image:
@@ -130,8 +134,7 @@ def draw_remark(layout: Any, context: Any, stroke: Any) -> None:
         row.label(text="Height Not Believed", icon="ERROR")
         row.prop(doubted.hnf_touch, "height_as_authored", text="As Authored", toggle=True)
     elif status is not None and any(SCALE_HINT in warning for warning in status.warnings):
-        row.label(text="No Real Size", icon="ERROR")
-        row.operator("hnf.set_real_length", text="Set Real Length")
+        draw_missing_scale(row)
     elif facts is not None and is_implausible(stroke, facts):
         row.label(text="Too Fast for a Hand", icon="ERROR")
         row.operator("hnf.stroke_constant", text="Make Constant")
@@ -142,6 +145,11 @@ def draw_remark(layout: Any, context: Any, stroke: Any) -> None:
         row.label(text=facts.lines[0], icon="INFO", translate=False)
     else:
         row.label(text="Bake to See and Hear It", icon="INFO")
+
+
+def draw_missing_scale(row: Any) -> None:
+    row.label(text="No Real Size", icon="ERROR")
+    row.operator("hnf.set_real_length", text="Set Real Length")
 
 
 SCALE_HINT = "no real-world size"

@@ -121,7 +121,7 @@ class HNF_PT_scale(PopoverPanel, bpy.types.Panel):  # type: ignore[misc]
         layout.operator("hnf.set_real_length", icon="DRIVER_DISTANCE")
         if not scene.hnf.metres_per_unit and TOUCHABLE_SURFACES.list_objects(scene):
             warning = tr(
-                "A reconstruction has no real-world size: select two points of it and say how far apart they are"
+                "A reconstruction has no real-world size: click two points of it and say how far apart they are"
             )
             draw_paragraph(layout, context, warning, icon="ERROR")
 

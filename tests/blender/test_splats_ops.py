@@ -203,6 +203,25 @@ def test_two_selected_objects_and_their_distance_set_the_scale() -> None:
     assert bpy.context.scene.hnf.metres_per_unit == pytest.approx(0.1)
 
 
+def test_two_clicked_points_set_the_scale() -> None:
+    """As the dialog after two clicks gives them; what is selected does not count then."""
+    bpy.ops.mesh.primitive_plane_add()
+    add_empties_apart(5.0)
+    given = {"first": (0.0, 0.0, 0.0), "second": (0.3, 0.4, 0.0)}
+    assert bpy.ops.hnf.set_real_length(length_m=0.25, **given) == {"FINISHED"}
+    assert bpy.context.scene.hnf.metres_per_unit == pytest.approx(0.5)
+    with pytest.raises(RuntimeError, match="lie in one place"):
+        bpy.ops.hnf.set_real_length(length_m=0.25, first=(1.0, 0.0, 0.0), second=(1.0, 0.0, 0.0))
+
+
+def add_empties_apart(units: float) -> None:
+    for name, x in (("A", 0.0), ("B", units)):
+        bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, None))
+        bpy.data.objects[name].location.x = x
+    bpy.context.view_layer.update()
+    choose("A", "B")
+
+
 def test_two_selected_vertices_set_the_scale_in_the_world() -> None:
     bpy.ops.mesh.primitive_plane_add()
     plane = bpy.context.object

@@ -43,7 +43,7 @@ def test_it_shows_strokes_alone_in_the_order_of_blenders_own(warm_bake) -> None:
     assert sorted(order) == list(range(len(scene.objects)))
 
 
-def test_it_is_sorted_by_surface_or_by_start_and_found_by_surface(warm_bake) -> None:
+def test_it_is_sorted_by_surface_or_start(warm_bake) -> None:
     plate, _ = small_scene()
     bpy.data.objects["Along"].hnf_stroke.start = 30.0
     for name, start in (("A on Plate", 20.0), ("B", 10.0)):

@@ -61,25 +61,24 @@ def check_a_drop_asks_and_makes_a_surface(stage):
 
 
 def check_two_points_and_a_length_make_it_metric(stage):
+    """Two clicks on the surface itself; the dialog then holds the length."""
     surface = bpy.data.objects["slab"]
-    ends = []
-    for sign in (-1.0, 1.0):
-        empty = bpy.data.objects.new("end", None)
-        empty.location = (sign * HALF[0], 0.0, HALF[2])
-        bpy.context.scene.collection.objects.link(empty)
-        ends.append(empty)
-    bpy.ops.object.select_all(action="DESELECT")
-    for empty in ends:
-        empty.select_set(True)
-    bpy.context.view_layer.objects.active = ends[0]
-    with stage.over():
-        bpy.ops.hnf.set_real_length(length_m=2.0 * HALF[0] * METRES)
-    found = bpy.context.scene.hnf.metres_per_unit
-    stage.expect("one unit is so many metres", abs(found / METRES - 1.0) < 1e-4, found)
-    for empty in ends:
-        bpy.data.objects.remove(empty)
+    yield from look_at(stage, surface)
     bpy.context.view_layer.objects.active = surface
+    ends = [stage.seen_at((sign * 0.8 * HALF[0], 0.0, HALF[2])) for sign in (-1.0, 1.0)]
+    with stage.over():
+        bpy.ops.hnf.set_real_length("INVOKE_DEFAULT", length_m=1.6 * HALF[0] * METRES)
+    yield from stage.click(ends[0])
+    yield from stage.move(ends[1])
+    yield from stage.picture("second-point")
+    yield from stage.click(ends[1])
+    yield 0.5
+    yield from stage.picture("real-length")
+    yield from stage.key("RET", ends[1])
     yield 0.3
+    found = bpy.context.scene.hnf.metres_per_unit
+    stage.expect("one unit is so many metres", abs(found / METRES - 1.0) < 0.02, found)
+    bpy.context.scene.hnf.metres_per_unit = METRES
 
 
 def check_a_stroke_on_it_is_felt(stage):
