@@ -22,7 +22,7 @@ PROBE_ITEMS = [
 ]
 TIMING_ITEMS = (
     ("HAND", "As Drawn", "The stroke takes as long as your hand did: its timing becomes progress keys"),
-    ("SPEED", "Constant", "One speed from end to end, however fast you draw; change it later in the Time panel"),
+    ("SPEED", "Constant", "One speed from end to end, however fast you draw; change it later under Time and Seed"),
 )
 
 
