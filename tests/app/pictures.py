@@ -44,10 +44,10 @@ CHOSEN: dict[str, Cut] = {
     "panel-materials": Cut("panels/used-1", (718, 936, 1021, 1232)),
     "panel-strokes": Cut("panels/used-1", (718, 446, 1021, 932)),
     "panel-export": Cut("panels/used-2", (718, 950, 1021, 1466)),
-    "panel-actuator": Cut("actuator/playing", (717, 250, 1022, 757)),
+    "panel-actuator": Cut("actuator/playing", (766, 774, 1020, 1268)),
     "assets": Cut("extension/asset-browser", (250, 55, 1255, 330)),
-    "learn": Cut("learning/dialog-filled", (487, 432, 935, 653)),
-    "preferences": Cut("learning/python-found", (176, 310, 1046, 560)),
+    "learn": Cut("learning/dialog-filled", (500, 488, 960, 700)),
+    "preferences": Cut("learning/python-found", (176, 310, 1046, 606)),
     "tool-settings": Cut("tutorial/drawing", (0, 55, 1116, 82)),
 }
 """Name in docs/images/ui → where it comes from."""

@@ -176,7 +176,7 @@ def test_the_dialog_shows_the_licence_of_what_is_learned(kind) -> None:
     said = Recorder()
     HNF_OT_learn.draw(SimpleNamespace(layout=said, kind=kind, bl_rna=rna_of("hnf.learn")), context_of())
     licence = "yours (your own recordings)" if kind == "own" else LICENCES[kind]
-    assert f"Licence: {licence}" in " ".join(said.words.split("\n"))
+    assert f"License: {licence}" in " ".join(said.words.split("\n"))
     assert max(map(len, said.words.split("\n"))) <= WIDEST
     assert ("folder" in said.props) == (kind != "simulated")
 

@@ -8,6 +8,7 @@ import time
 import bpy
 from drive import scenery
 from drive.addon import baked, children, heard, ours, strokes
+from drive.tab import all_open
 from drive.timing import Spent
 
 SCREEN = "1280x1400"
@@ -91,7 +92,11 @@ def check_play_and_a_changed_force(stage):
     yield from stage.until(
         "what a skin would get is told", lambda: ours("actuator.actuator_state").ACTUATOR.skin_lines, SOON_S
     )
-    yield from stage.picture("playing", settle=1.5)
+    with all_open("HNF_PT_output"):
+        yield from stage.picture("playing", settle=1.5)
+        with stage.over(region="UI"):
+            bpy.ops.view2d.scroll_down(page=True)
+        yield from stage.picture("playing", settle=1.0)
     curve = next(each for each in ours("compat").fcurves_of(strokes()[0]) if each.data_path == "hnf_stroke.force")
     curve.keyframe_points[-1].co[1] = 4.0
     curve.update()

@@ -50,7 +50,7 @@ def check_a_drop_asks_and_makes_a_surface(stage):
     yield 0.6
     yield from stage.picture("which-of-two")
     yield from stage.key("G")
-    yield from stage.until("the surface is there", lambda: "slab" in bpy.data.objects, 60.0)
+    yield from stage.until("the surface is there", lambda: "slab" in bpy.data.objects, 200.0)
     yield from look_at(stage, bpy.data.objects["slab"], top=False)
     stage.expect("with its splats", len(bpy.data.objects["slab splats"].data.vertices) > 1000)
     stage.expect("and faces", len(bpy.data.objects["slab"].data.polygons) > 1000)
