@@ -40,7 +40,7 @@ Runner = Callable[[Sequence[str], float], tuple[int | None, str]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one model.
+    """Result of touching one model.
 
     Attributes
     ----------
