@@ -10,12 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from ..actuators.measure.accelerometer import make_noise, make_sweep
-from ..actuators.measure.frequency_response import (
-    MeasuredProfile,
-    estimate_response,
-    make_datasheet_profile,
-    make_measured_profile,
-)
+from ..actuators.measure.build_profile import MeasuredProfile, make_datasheet_profile, make_measured_profile
+from ..actuators.measure.frequency_response import estimate_response
 from ..actuators.measure.inverse_filter import BandError, compute_band_errors, compute_rms_db, find_largest_errors_db
 from ..actuators.output_prediction import DEFAULT_RANGE_HZ, compute_band_changes, simulate_output
 from ..actuators.profile import GENERIC, PROFILES, ActuatorProfile

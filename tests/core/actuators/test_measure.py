@@ -13,13 +13,8 @@ from responses import of_gains
 
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.measure.accelerometer import Accelerometer, make_noise, make_sweep, measure_actuator
-from hnf_core.actuators.measure.frequency_response import (
-    FrequencyResponse,
-    Resonator,
-    estimate_response,
-    fit_resonance,
-    make_measured_profile,
-)
+from hnf_core.actuators.measure.build_profile import make_measured_profile
+from hnf_core.actuators.measure.frequency_response import FrequencyResponse, Resonator, estimate_response, fit_resonance
 from hnf_core.actuators.measure.inverse_filter import (
     MAX_BOOST_DB,
     CompensationFilter,
