@@ -289,7 +289,7 @@ def prepare_stroke(
             _leave_explained_power(field, condition.rows(rows), profile_power, find_finest(profile), amplitude[rows])
     tone_amplitude = None
     if course.lines is not None:
-        amplitude, tone_amplitude = amplitude[:, :, : carriers.count].copy(), amplitude[:, 0, carriers.count :].copy()
+        amplitude, tone_amplitude = amplitude[:, :, : carriers.count], amplitude[:, 0, carriers.count :].copy()
         course.lines.silence_others(tone_amplitude, SAMPLES_PER_STATE * np.arange(count), find_peak_speed(action))
         if profile is not None:
             # The harmonics of a line that the profile holds are in its motion, also those that it does not resolve.

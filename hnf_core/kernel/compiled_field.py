@@ -514,7 +514,7 @@ def gather_sidebands(kernel: ctypes.CDLL, emitter: EmissionTables, lines: ToneAr
     """Give the tones what the scatter of their pitch spreads about them, from alpha (n, K), in place."""
     if alpha.shape != (lines.states, emitter.carriers):
         raise ValueError(f"amplitudes {alpha.shape} for lines at {lines.states} states")
-    scratch = np.empty(emitter.tables.bands)
+    scratch = np.empty(2 * emitter.tables.bands + lines.column.shape[1])
     kernel.hnf_gather_sidebands(
         ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), lines.states, ctypes.byref(lines.struct),
         get_address(scratch, np.float64), get_address(alpha, np.float64, writable=True),

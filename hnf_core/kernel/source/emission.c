@@ -206,39 +206,56 @@ static near_line near_of(const hnf_tables *t, double along)
     return near;
 }
 
+/* Sum of power (bands,) near a line, weighted by 1 at the line to 0 an octave away; four sums at once, since each waits
+ * for itself. */
+static double sum_near(near_line near, double per_band, const double *power)
+{
+    double sum[4] = {0.0, 0.0, 0.0, 0.0}, offset = (double)near.first - near.place;
+    int64_t k = near.first;
+    for (; k + 3 <= near.last; k += 4, offset += 4.0)
+        for (int j = 0; j < 4; j++)
+            sum[j] += (1.0 - fabs(offset + (double)j) * per_band) * power[k + j];
+    for (; k <= near.last; k++, offset += 1.0)
+        sum[0] += (1.0 - fabs(offset) * per_band) * power[k];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
 void hnf_gather_sidebands(const hnf_tables *t, const hnf_emitter *e, int64_t states, const hnf_path_lines *lines,
                           double *scratch, double *alpha)
 {
-    double *taken = scratch;
+    double *taken = scratch, *power = taken + t->bands, *share = power + t->bands, per_band = 1.0 / t->per_octave;
     for (int64_t state = 0; state < states; state++) {
         double *arc = alpha + state * e->carriers + e->time_bands;
+        double *tones = lines->tones + state * lines->count * e->harmonics;
         if (lines->scatter[state] <= 0.0)
             continue;
         memset(taken, 0, (size_t)t->bands * sizeof(double));
-        /* Twice over the lines: what each asks of the carriers, then what all together leave it. */
-        for (int pass = 0; pass < 2; pass++) {
-            for (int64_t line = 0; line < lines->count; line++) {
-                int64_t at = state * lines->count + line;
-                double *tone = lines->tones + at * e->harmonics, phase = TAU * lines->pitch[at] * lines->scatter[state];
-                double spread = phase * phase < LARGEST_SPREAD ? phase * phase : LARGEST_SPREAD;
-                double wanted = tone[0] * tone[0] * expm1(spread), available = 0.0, given = 0.0;
-                near_line near = near_of(t, lines->along[at]);
-                if (wanted <= 0.0)
-                    continue;
-                for (int64_t k = near.first; k <= near.last; k++) {
-                    double power = (1.0 - fabs((double)k - near.place) / t->per_octave) * arc[k] * arc[k];
-                    available += power;
-                    given += pass ? power * (taken[k] > MOST_TAKEN ? MOST_TAKEN / taken[k] : 1.0) : 0.0;
-                }
-                if (available <= 0.0)
-                    continue;
-                double share = wanted / available;
-                if (pass)
-                    tone[0] = sqrt(tone[0] * tone[0] + share * given);
-                else
-                    for (int64_t k = near.first; k <= near.last; k++)
-                        taken[k] += share * (1.0 - fabs((double)k - near.place) / t->per_octave);
-            }
+        for (int64_t k = 0; k < t->bands; k++)
+            power[k] = arc[k] * arc[k];
+        /* What each line asks of the carriers, then what all together leave it. */
+        for (int64_t line = 0; line < lines->count; line++) {
+            int64_t at = state * lines->count + line;
+            double *tone = tones + line * e->harmonics, phase = TAU * lines->pitch[at] * lines->scatter[state];
+            double spread = phase * phase < LARGEST_SPREAD ? phase * phase : LARGEST_SPREAD;
+            double wanted = tone[0] * tone[0] * expm1(spread), available = 0.0;
+            share[line] = 0.0;
+            if (wanted <= 0.0)
+                continue;
+            near_line near = near_of(t, lines->along[at]);
+            available = sum_near(near, per_band, power);
+            if (available <= 0.0)
+                continue;
+            share[line] = wanted / available;
+            for (int64_t k = near.first; k <= near.last; k++)
+                taken[k] += share[line] * (1.0 - fabs((double)k - near.place) * per_band);
+        }
+        for (int64_t k = 0; k < t->bands; k++)
+            power[k] *= taken[k] > MOST_TAKEN ? MOST_TAKEN / taken[k] : 1.0;
+        for (int64_t line = 0; line < lines->count; line++) {
+            double *tone = tones + line * e->harmonics;
+            near_line near = near_of(t, lines->along[state * lines->count + line]);
+            if (share[line] > 0.0)
+                tone[0] = sqrt(tone[0] * tone[0] + share[line] * sum_near(near, per_band, power));
         }
         for (int64_t k = 0; k < t->bands; k++)
             arc[k] *= sqrt(1.0 - (taken[k] < MOST_TAKEN ? taken[k] : MOST_TAKEN));

@@ -152,7 +152,8 @@ typedef struct {
 HNF_EXPORT void hnf_take_tones(const hnf_tables *tables, const hnf_emitter *emitter, const float *head,
                                const hnf_motion *motion, const hnf_expected *expected, int64_t states,
                                const hnf_path_lines *lines);
-/* After hnf_emitted: the tones get what scatter spreads about them, from alpha (states, carriers). scratch: bands. */
+/* After hnf_emitted: the tones get what scatter spreads about them, from alpha (states, carriers). scratch: 2 bands and
+ * the lines. */
 HNF_EXPORT void hnf_gather_sidebands(const hnf_tables *tables, const hnf_emitter *emitter, int64_t states,
                                      const hnf_path_lines *lines, double *scratch, double *alpha);
 
