@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_blender import props
-from hnf_blender.bridge.scene.stored_data import set_appearance
+from hnf_blender.bridge.scene.material_definition import set_appearance
 from hnf_blender.bridge.stroke.place_primitive import place_primitive
 from hnf_core.action.primitive_path import PlanarPath, make_path_curve, make_primitive_path
 from hnf_core.action.primitives import PRIMITIVES, Primitive

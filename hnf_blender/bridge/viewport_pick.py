@@ -20,8 +20,9 @@ from hnf_core.material.ranking import expect_material, rank
 from hnf_core.material.token import TOKEN_DIM, Token
 
 from ..translations import tr
+from .scene.material_definition import get_artist_choice
 from .scene.meshes import compute_surface_frame, get_materials
-from .scene.stored_data import TOKEN_ATTRIBUTE, get_artist_choice, read_tokens
+from .scene.stored_data import TOKEN_ATTRIBUTE, read_tokens
 from .splats.splat_cloud import is_cloud
 
 Float = NDArray[np.float64]

@@ -249,7 +249,7 @@ def assign_to_slot(definition: MaterialFile, slot: MaterialSlot, material_path: 
     material_path : Path
         File of the material, named in the sentence.
     """
-    from ..bridge.scene.stored_data import assign_definition, create_material
+    from ..bridge.scene.material_definition import assign_definition, create_material
 
     obj = _find_assignable_object(slot)
     if obj is not None:

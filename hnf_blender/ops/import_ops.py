@@ -72,7 +72,7 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy h
     def execute(self, context: Any) -> set[str]:
         from hnf_core.field.weights import read_material_file
 
-        from ..bridge.scene.stored_data import assign_definition, create_material
+        from ..bridge.scene.material_definition import assign_definition, create_material
 
         try:
             definition = read_material_file(Path(bpy.path.abspath(self.filepath)))

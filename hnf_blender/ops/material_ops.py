@@ -224,7 +224,7 @@ def _assign_library_material(operator: Any, material_name: str, library_name: st
         )
         return {"CANCELLED"}
     if not library_name:
-        from ..bridge.scene.stored_data import clear_definition
+        from ..bridge.scene.material_definition import clear_definition
 
         clear_definition(material)
     material.hnf_touch.library = library_name

@@ -27,6 +27,7 @@ from hnf_core.material.name_matching import match_names
 from hnf_core.touch_request import TouchRequest
 
 from ..bridge.importers import IMPORT_NOTES
+from ..bridge.scene.material_definition import get_artist_choice, is_height_authored
 from ..bridge.scene.meshes import (
     Surface,
     compute_surface_frame,
@@ -43,7 +44,6 @@ from ..bridge.scene.object_size import (
     is_visible,
 )
 from ..bridge.scene.scene_names import find_object, get_named_objects, get_scene_name
-from ..bridge.scene.stored_data import get_artist_choice, is_height_authored
 from ..bridge.scene.touchable import describe_instances, explain_untouchable, is_surface
 from ..bridge.shader.closures import ReliefSource, find_relief_source, get_stated_height, is_direct_image
 from ..bridge.shader.images import list_texture_names

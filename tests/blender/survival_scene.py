@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 from job_scene import kept
 
-from hnf_blender.bridge.scene.stored_data import get_definition
+from hnf_blender.bridge.scene.material_definition import get_definition
 from hnf_blender.compat import fcurves_of
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import refresh_status

@@ -18,7 +18,7 @@ from touch_scene import PLATE, ridge_plate
 from hnf_blender.actuator.actuator_state import VIRTUAL, Phase
 from hnf_blender.actuator.live_touch import LiveTouch, SurfaceUnroll, force_from_pressure
 from hnf_blender.actuator.player_client import PlayerClient, get_phase
-from hnf_blender.bridge.scene.stored_data import set_definition
+from hnf_blender.bridge.scene.material_definition import set_definition
 from hnf_blender.bridge.viewport_pick import cast_on_surface, find_contact_point, find_touched_material
 from hnf_blender.ops.actuator_ops import guess_first_material, update_live_touch
 from hnf_blender.state.session_state import STATE

@@ -10,7 +10,12 @@ import pytest
 from builders import add_plane
 from touch_scene import line_stroke, ridge_plate
 
-from hnf_blender.bridge.scene.stored_data import PRINCIPLED_INPUTS, assign_definition, clear_definition, get_definition
+from hnf_blender.bridge.scene.material_definition import (
+    PRINCIPLED_INPUTS,
+    assign_definition,
+    clear_definition,
+    get_definition,
+)
 from hnf_blender.bridge.viewport_pick import cast_on_surface, pick_object_along_ray
 from hnf_blender.props.material_settings import DEFINITION_PROPERTY
 from hnf_blender.ui.materials_panel import describe_material

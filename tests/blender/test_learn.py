@@ -15,7 +15,7 @@ import pytest
 from job_scene import LIMIT_S, PLATE, finish, is_gone, kill, my_folders, small_scene
 from panel_recorder import Recorder, context_of, rna_of
 
-from hnf_blender.bridge.scene.stored_data import get_artist_choice, set_definition
+from hnf_blender.bridge.scene.material_definition import get_artist_choice, set_definition
 from hnf_blender.jobs import bake_job, learn_job, manager
 from hnf_blender.jobs.child_job import is_process_alive
 from hnf_blender.jobs.learn_job import LearnJob, MaterialSlot, assign_to_slot, check_python, make_weights_path

@@ -12,13 +12,8 @@ from builders import add_plane, bump_material
 from survival_scene import append, bake, duplicate, everything, heard, opened, statuses
 from touch_scene import line_stroke, ridge_plate
 
-from hnf_blender.bridge.scene.stored_data import (
-    assign_definition,
-    delete_property,
-    get_property,
-    read_tokens,
-    set_property,
-)
+from hnf_blender.bridge.scene.material_definition import assign_definition
+from hnf_blender.bridge.scene.stored_data import delete_property, get_property, read_tokens, set_property
 from hnf_blender.jobs import bake_job
 from hnf_blender.preview.synthesis_thread import read_current_bake
 from hnf_blender.props.material_settings import DEFINITION_PROPERTY

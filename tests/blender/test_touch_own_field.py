@@ -127,7 +127,7 @@ def test_a_bad_file_for_what_no_stroke_touches_is_a_note(tmp_path, capsys) -> No
 
 
 def test_the_panel_takes_weights_too(tmp_path, weights, operators) -> None:
-    from hnf_blender.bridge.scene.stored_data import get_artist_choice
+    from hnf_blender.bridge.scene.material_definition import get_artist_choice
 
     plate = ridge_plate()
     bpy.context.view_layer.objects.active = plate
