@@ -145,13 +145,26 @@ def test_a_picture_that_is_seen_as_a_colour_too_keeps_its_tag(tmp_path):
     assert not np.allclose(both.height, data.height, rtol=0.05)
 
 
-def add_missing_colour(plane, name: str = "gone"):
+def add_missing_colour(plane, name: str = "gone", socket: str = "Base Color"):
     tree = plane.data.materials[0].node_tree
     node = tree.nodes.new("ShaderNodeTexImage")
     node.image = bpy.data.images.new(name, 4, 4)
     node.image.source, node.image.filepath = "FILE", f"//{name}.png"
-    tree.links.new(node.outputs[0], principled(plane.data.materials[0]).inputs["Base Color"])
+    tree.links.new(node.outputs[0], principled(plane.data.materials[0]).inputs[socket])
     return node
+
+
+@pytest.mark.parametrize("socket", ["Roughness", "Metallic", "Emission Color", "Alpha", "Sheen Weight"])
+def test_a_missing_finish_costs_the_finish_alone(socket):
+    plane, texture = normal_mapped_plane(*height_image(count=64)[1:])
+    tree = plane.data.materials[0].node_tree
+    tree.nodes.remove(texture)
+    add_missing_colour(plane, socket=socket)
+    close = look(plane)
+    assert [note for note in close.notes if "'gone'" in note and "its finish is unknown" in note]
+    add_missing_colour(plane, "color_gone")
+    with pytest.raises(SceneError, match="'color_gone' is not there"):
+        look(plane)
 
 
 def test_a_missing_colour_costs_the_colour_alone():

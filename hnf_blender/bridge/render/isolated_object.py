@@ -304,6 +304,21 @@ def _find_image_uses(graph: NodeGraph) -> tuple[dict[NodeKey, Any], set[NodeKey]
     return relief, other
 
 
+def _find_color_images(graph: NodeGraph) -> set[NodeKey]:
+    """Return the keys of the nodes that the color of a shader or the mix of two is made from.
+
+    Not those of gloss, emission and the other inputs of a shader that has a base color.
+    """
+    keys: set[NodeKey] = set()
+    for node in graph.upstream(graph.output.inputs["Surface"]):
+        if any(output.type == "SHADER" for output in node.outputs):
+            base = node.inputs.get("Base Color")
+            sockets = [socket for socket in node.inputs if socket.type != "SHADER"] if base is None else [base]
+            sources = [each for socket in sockets for each in graph.upstream(socket, frozenset(RELIEF_INPUTS))]
+            keys |= {_get_key(source) for source in sources}
+    return keys
+
+
 def _read_as_data(relief_images: dict[NodeKey, Any], other_images: set[NodeKey]) -> list[str]:
     """Let pictures of normals and heights that are tagged as colors be read as data; return notes on them.
 
@@ -345,10 +360,11 @@ def _leave_out_missing(graph: NodeGraph, where: str, relief_images: dict[NodeKey
             )
     problems = {key: problem for key, node in nodes.items() if (problem := explain_missing_image(node.image))}
     has_relief = bool(relief_images.keys() - problems.keys())
+    color_images = _find_color_images(graph) if problems else set()
     notes = []
     for key, problem in problems.items():
-        node, kind = nodes[key], "relief" if key in relief_images else "color"
-        if not is_chosen and (kind == "relief" or not has_relief):
+        node, kind = nodes[key], "relief" if key in relief_images else "color" if key in color_images else "finish"
+        if not is_chosen and (kind == "relief" or (kind == "color" and not has_relief)):
             raise SceneError(
                 f"its texture '{node.image.name}' is not there: {problem}.",
                 where=where,
