@@ -17,7 +17,10 @@ from typing import Any
 
 from ..errors import DeviceError
 
-PIP_PACKAGES = {"serial": "pyserial", "sounddevice": "sounddevice", "pythonosc.udp_client": "python-osc"}
+PIP_PACKAGES = {
+    "serial": "pyserial", "sounddevice": "sounddevice", "pythonosc.udp_client": "python-osc",
+    "pythonosc.osc_server": "python-osc", "pythonosc.dispatcher": "python-osc",
+}  # fmt: skip
 """Optional modules and the packages on PyPI that contain them."""
 
 

@@ -1,4 +1,7 @@
-"""`hnf stream`: play a WAV on an actuator, with a level meter and a warning if the limiter will change the signal."""
+"""`hnf stream`: play a WAV on an actuator, or what a hand feels whose motion comes from another program.
+
+With a level meter, and a warning if the limiter will change the signal of a WAV.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +22,23 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from ..actuators.hand_input import INPUT_FORMS, SLIDE_STEP_S, HandInput, parse_input, read_lines, receive_osc
 from ..actuators.limits import Limits
+from ..actuators.live_source import LiveSource
 from ..actuators.measure.inverse_filter import make_compensation
 from ..actuators.output_prediction import LimitingForecast, describe_peak_limit, predict_limiting
 from ..actuators.profile import GENERIC, ActuatorProfile
 from ..actuators.profile_json import load_profile
-from ..actuators.signal_chain import SignalChain, Source
+from ..actuators.signal_chain import Samples, SignalChain, Source
 from ..actuators.sink import SinkFormat
 from ..actuators.sources import Acceleration, BufferSource, TruncatedSource, db_to_gain, read_accelerations
 from ..actuators.stream import Stream, StreamReport
 from ..actuators.stream_targets import TARGET_FORMS, FileTarget, Target, make_sink, parse_target
 from ..errors import DeviceError, UsageError, pluralize
+from ..field.live.synthesis import create_live_synthesis
+from ..material.hnf_file import HNF_SUFFIX
+from ..material.probe import PROBE_NAMES
+from ..material.ranking import find_material
 from .commands import HELP
 
 METER_MIN_DB = -60.0
@@ -161,11 +170,22 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "stream",
         help=HELP["stream"],
-        description="Play WAVs on an actuator, each channel on one of its own, within its limits. Ctrl C stops softly.",
+        description="Play WAVs on an actuator, each channel on one of its own, within its limits; or, with --input, "
+        "what a hand feels whose motion comes from another program. Ctrl C stops softly.",
     )
     parser.add_argument(
-        "wav", type=Path, nargs="+", metavar="FILE.wav", help="m/s² where it says so; several play beside each other"
+        "wav", type=Path, nargs="*", metavar="FILE.wav", help="m/s² where it says so; several play beside each other"
     )
+    parser.add_argument(
+        "--input", metavar="osc:PORT|-",
+        help="feel live what comes as OSC messages or as lines of standard input: x and y [m], force [N]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--material", action="append", default=[], metavar="NAME|FILE.hnf",
+        help="what --input touches: of several, a message says which, from 0",
+    )  # fmt: skip
+    parser.add_argument("--probe", choices=PROBE_NAMES, help="what --input touches with (default pen)")
+    parser.add_argument("--seed", type=int, help="seed of --input's noise (default 0)")
     parser.add_argument("--to", required=True, metavar="TARGET", help=TARGET_FORMS)
     parser.add_argument(
         "--profile", default=GENERIC.name, metavar="NAME|FILE.json",
@@ -189,6 +209,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run `hnf stream`; return the exit code. Raises HnfError."""
+    _check_what_plays(arguments)
+    if arguments.input is not None:
+        return _run_live(arguments)
     target, gain = parse_target(arguments.to), db_to_gain(arguments.gain)
     _check_arguments(arguments, target)
     profile = load_profile(arguments.profile)
@@ -218,6 +241,129 @@ def run(arguments: argparse.Namespace) -> int:
         finally:
             stream.stop()
     return _report_result(arguments, profile, recorded, stream.report)
+
+
+LIVE_BLOCK_S = 0.005
+"""Block length of a live touch [s]."""
+
+
+class Scaling:
+    """Processor that makes a signal louder or softer by a factor."""
+
+    def __init__(self, factor: float) -> None:
+        self._factor = np.float32(factor)
+
+    def process(self, block: Samples) -> Samples:
+        """Scale a block of samples."""
+        return np.asarray(self._factor * block, dtype=block.dtype)
+
+
+RELEASE_S = 0.2
+"""Duration of a live touch after the last line of its input, until a lift is silent and played [s]."""
+
+
+def _check_what_plays(arguments: argparse.Namespace) -> None:
+    """Raise UsageError unless either WAVs are given, or an input with a material."""
+    if arguments.input is None:
+        of_input = [name for name in ("material", "probe", "seed") if getattr(arguments, name) not in (None, [])]
+        if of_input:
+            raise UsageError(
+                f"--{of_input[0]} goes with --input.", remedy=f"Leave it out, or give --input {INPUT_FORMS}."
+            )
+        if not arguments.wav:
+            raise UsageError("there is nothing to play.", remedy="Give a WAV, or --input and --material.")
+        return
+    if arguments.wav or arguments.loop:
+        raise UsageError("--input plays no WAV.", remedy="Leave out the WAVs and --loop, or --input.")
+    if not arguments.material:
+        raise UsageError(
+            "--input needs something to touch.", remedy="Give --material NAME; `hnf materials` lists them."
+        )
+
+
+def _run_live(arguments: argparse.Namespace) -> int:
+    """Play what a hand feels whose motion comes from outside; return the exit code. Raises HnfError."""
+    received, target, gain = parse_input(arguments.input), parse_target(arguments.to), db_to_gain(arguments.gain)
+    if isinstance(target, FileTarget):
+        raise UsageError(
+            "a live touch is played on a device.", remedy="Give --to audio, serial:PORT, osc:… or virtual."
+        )
+    _check_arguments(arguments, target)
+    profile, materials = load_profile(arguments.profile), [_choose_material(name) for name in arguments.material]
+    source = LiveSource(create_live_synthesis(*materials, seed=arguments.seed or 0, probe=arguments.probe or "pen"))
+    hand = HandInput(source, lambda problem: print(f"hnf: {problem}", file=sys.stderr, flush=True))
+    sink = make_sink(target, source.rate_hz, profile.limits, source.channels, connect_s=arguments.connect_timeout)
+    stages = () if arguments.raw else make_compensation(profile, source.rate_hz, source.channels)
+    block_s = min(arguments.block / 1e3, LIVE_BLOCK_S)
+    stream = Stream(source, sink, profile.limits, block_s=block_s, ahead_blocks=1, processors=(Scaling(gain), *stages))
+    ended = threading.Event()
+    with _sigterm_as_ctrl_c():
+        try:
+            device = stream.start()
+            if not arguments.json:
+                print(
+                    f"{', '.join(arguments.material)} under {_describe_input(received)}\nto {device.device}: "
+                    f"{device.rate_hz:g} Hz; gain {arguments.gain:g} dB; {describe_peak_limit(profile, device)}",
+                    flush=True,
+                )
+            with read_lines(hand, sys.stdin, ended.set) if received is None else receive_osc(hand, *received):
+                _follow_hand(stream, hand, ended, arguments.seconds, device, profile.limits)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            stream.stop()
+    return _report_live(arguments, stream.report, source, hand)
+
+
+def _choose_material(name: str) -> str:
+    """Return a file's name or that of the library material that words name; print what is taken for words."""
+    if name.lower().endswith(HNF_SUFFIX):
+        return name
+    found, suggestion = find_material(name)
+    if suggestion is not None:
+        print(f"hnf: no library material is called {name!r}: {found.name} is taken.", file=sys.stderr)
+    return found.name
+
+
+def _describe_input(received: tuple[str, int] | None) -> str:
+    return "standard input" if received is None else f"OSC at {received[0]}:{received[1]}"
+
+
+def _follow_hand(
+    stream: Stream, hand: HandInput, ended: threading.Event, seconds: float | None, device: SinkFormat, limits: Limits
+) -> None:
+    """Continue slides and show the level until the input or the time ends, or the stream fails."""
+    allowed = limits.with_device_peak(device.peak)
+    meter = LevelMeter(allowed.peak * allowed.full_scale_m_s2, seconds)
+    stop_s, shown_s = math.inf if seconds is None else time.monotonic() + seconds, 0.0
+    try:
+        while not stream.wait(SLIDE_STEP_S) and (now_s := time.monotonic()) < stop_s:
+            hand.advance()
+            if ended.is_set():
+                stop_s = min(stop_s, now_s + RELEASE_S)
+                ended.clear()
+            if now_s - shown_s >= POLL_S:
+                shown_s = now_s
+                meter.show(stream.report)
+    finally:
+        meter.close()
+
+
+def _report_live(arguments: argparse.Namespace, report: StreamReport, source: LiveSource, hand: HandInput) -> int:
+    refused = hand.refused + source.rejected_events
+    if arguments.json:
+        facts = {"input": arguments.input, "materials": arguments.material, "target": arguments.to}
+        counts = {"messages": hand.messages, "refused": refused, "latency_p99_ms": source.latency_p99_ms}
+        print(json.dumps(facts | counts | report.to_json(), indent=1))
+    else:
+        print(
+            f"{report.played_s:.2f} s played: {pluralize(hand.messages, 'message')}, {refused} refused; 99 % of them "
+            f"computed within {source.latency_p99_ms:.1f} ms, {pluralize(report.underruns, 'underrun')}; peak "
+            f"{report.peak:.0%} of full scale, {pluralize(report.limited_samples, 'sample')} limited"
+        )
+    if report.problem:
+        raise DeviceError(report.problem)
+    return 0
 
 
 def _check_arguments(arguments: argparse.Namespace, target: Target) -> None:
