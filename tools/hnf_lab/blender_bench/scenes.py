@@ -308,7 +308,7 @@ def draw_tab(scene: Any, layer: Any) -> int:
         for name in ("draw_header", "draw"):
             if hasattr(panel, name):
                 getattr(panel, name)(SimpleNamespace(layout=layout, bl_rna=panel.bl_rna), context)
-    listed: Any = SimpleNamespace(filter_name="", bitflag_filter_item=1)
+    listed: Any = SimpleNamespace(filter_name="", order="SURFACE", bitflag_filter_item=1)
     HNF_UL_strokes.filter_items(listed, context, scene, "objects")
     for index, obj in enumerate(list_cached_strokes(scene)[:VISIBLE_ROWS]):
         HNF_UL_strokes.draw_item(listed, context, layout, scene, obj, 0, scene.hnf, "stroke_index", index)
