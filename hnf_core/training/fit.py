@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ from ..field.carriers import MODEL_RATE_HZ, Carriers
 from ..files import write_bytes
 from ..metrics.spectra import WINDOW_SAMPLES, hann_window
 from ..safetensors_io import dump_tensors, load_tensors
-from ..simulation.simulate import SAMPLE_RATE_HZ
+from .windows import FINE_BINS, compute_bin_widths, pool_bins
 
 DENSITY_FLOOR = 1e-9
 """Density added to both sides [(m/s²)²/Hz]: 1 mm/s² over the band, below which nothing is perceptible."""
@@ -155,26 +154,3 @@ def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
         return Checkpoint(int(metadata["epoch"]), tensors, history)
     except (OSError, ValueError, KeyError, TypeError):
         return None
-
-
-FINE_BINS = 100
-"""Bins 1–100 of a 1000-sample window: 10–1000 Hz, without DC."""
-
-
-COARSE_EDGES_HZ = 1000.0 * 5.0 ** (np.arange(8) / 7.0)
-"""Edges of seven bands above, to 5 kHz, so that the total power is right too."""
-
-
-def pool_bins(power: Float) -> Float:
-    """Pool a window's spectrum (…, 501) into (…, 107): 100 bins of 10 Hz, then the mean densities of seven bands."""
-    frequency = np.fft.rfftfreq(WINDOW_SAMPLES, 1.0 / SAMPLE_RATE_HZ)
-    fine = power[..., 1 : FINE_BINS + 1]
-    coarse = [
-        power[..., (frequency > low) & (frequency <= high)].mean(axis=-1) for low, high in pairwise(COARSE_EDGES_HZ)
-    ]
-    return np.concatenate([fine, np.stack(coarse, axis=-1)], axis=-1)
-
-
-def compute_bin_widths() -> Float:
-    """Return the width (107,) [Hz] of the pooled bins and bands; density times width sums to power."""
-    return np.concatenate([np.full(FINE_BINS, SAMPLE_RATE_HZ / WINDOW_SAMPLES), np.diff(COARSE_EDGES_HZ)])

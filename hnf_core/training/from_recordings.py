@@ -26,8 +26,8 @@ from ..material.library import LibraryMaterial, get_material
 from ..material.ranking import find_material
 from ..material.token import TOKEN_DIM
 from ..metrics.spectra import BIN_COUNT, WINDOW_SAMPLES
-from .fit import FINE_BINS
 from .train_material import ProgressCallback, Schedule, TrainingResult, train_material
+from .windows import FINE_BINS
 
 Float = NDArray[np.float64]
 

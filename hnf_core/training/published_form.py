@@ -27,9 +27,17 @@ from ..field.resampling import resample
 from ..field.stroke import SAMPLES_PER_STATE
 from ..material.contact_model import Mechanics
 from ..metrics.spectra import BIN_COUNT, WINDOW_SAMPLES, hann_window
-from .fit import pool_bins
 from .model import FieldNetwork, render_weights
-from .windows import STATES_PER_WINDOW, TRAIN, States, Windows, build_state_inputs, find_role_runs, read_action
+from .windows import (
+    STATES_PER_WINDOW,
+    TRAIN,
+    States,
+    Windows,
+    build_state_inputs,
+    find_role_runs,
+    pool_bins,
+    read_action,
+)
 
 Float = NDArray[np.float64]
 

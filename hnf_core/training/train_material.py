@@ -28,18 +28,27 @@ from ..material.token import TOKEN_DIM
 from ..metrics.spectra import WINDOW_SAMPLES
 from .fit import (
     DENSITY_FLOOR,
-    FINE_BINS,
     Checkpoint,
     WindowLikelihood,
     compute_arc_density,
-    compute_bin_widths,
     compute_expectation_matrices,
     load_checkpoint,
     save_checkpoint,
 )
 from .model import FieldNetwork, render_weights
 from .published_form import MagnitudeTask
-from .windows import HOP, TEST, TRAIN, VALIDATION, States, Windows, build_state_inputs, cut_windows
+from .windows import (
+    FINE_BINS,
+    HOP,
+    TEST,
+    TRAIN,
+    VALIDATION,
+    States,
+    Windows,
+    build_state_inputs,
+    compute_bin_widths,
+    cut_windows,
+)
 
 Float = NDArray[np.float64]
 

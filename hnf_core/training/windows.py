@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +24,14 @@ from ..field.stroke import SAMPLES_PER_STATE, resample_action, uniform_stroke
 from ..material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from ..material.token import TOKEN_DIM
 from ..metrics.spectra import WINDOW_SAMPLES, hann_window, window_power
-from .fit import compute_bin_widths, pool_bins
+from ..simulation.simulate import SAMPLE_RATE_HZ
 
 Float = NDArray[np.float64]
 
+FINE_BINS = 100
+"""Bins 1–100 of a 1000-sample window: 10–1000 Hz, without DC."""
+COARSE_EDGES_HZ = 1000.0 * 5.0 ** (np.arange(8) / 7.0)
+"""Edges of seven bands above, to 5 kHz, so that the total power is right too."""
 TRAIN, VALIDATION, TEST = 0, 1, 2
 ROLES = (TRAIN,) * 8 + (VALIDATION, TEST)
 """Roles of every 10 consecutive windows (Haptic Neural Fields, "Training")."""
@@ -260,3 +265,18 @@ def _find_counted_bins(recordings: Sequence[Recording]) -> NDArray[np.bool_]:
     upper_edge = np.cumsum(compute_bin_widths())
     rate = min(recording.sample_rate for recording in recordings)
     return np.asarray(upper_edge <= 0.45 * rate) if rate < MODEL_RATE_HZ else np.ones(len(upper_edge), dtype=bool)
+
+
+def pool_bins(power: Float) -> Float:
+    """Pool a window's spectrum (…, 501) into (…, 107): 100 bins of 10 Hz, then the mean densities of seven bands."""
+    frequency = np.fft.rfftfreq(WINDOW_SAMPLES, 1.0 / SAMPLE_RATE_HZ)
+    fine = power[..., 1 : FINE_BINS + 1]
+    coarse = [
+        power[..., (frequency > low) & (frequency <= high)].mean(axis=-1) for low, high in pairwise(COARSE_EDGES_HZ)
+    ]
+    return np.concatenate([fine, np.stack(coarse, axis=-1)], axis=-1)
+
+
+def compute_bin_widths() -> Float:
+    """Return the width (107,) [Hz] of the pooled bins and bands; density times width sums to power."""
+    return np.concatenate([np.full(FINE_BINS, SAMPLE_RATE_HZ / WINDOW_SAMPLES), np.diff(COARSE_EDGES_HZ)])

@@ -40,7 +40,7 @@ from hnf_core.tactile.fourier_filters import frequencies, gaussian_mtf
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.optics import SENSORS, decode_gradients, gel_gradients, shade
 from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS
-from hnf_lab.encoder.network import perturb_sensor
+from hnf_lab.encoder.variation import perturb_sensor
 from hnf_lab.evaluation.tactile_map.tiles import decimate_tile
 
 SEED = st.integers(0, 2**31)

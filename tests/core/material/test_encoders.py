@@ -27,7 +27,7 @@ from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, LEVEL
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import Route, TactileMap
 from hnf_core.tactile.views import PITCHES_M
-from hnf_lab.encoder.train import encode_targets
+from hnf_lab.encoder.variation import encode_targets
 
 NETWORK = random_encoder(7)
 SIDE_M = 20e-3

@@ -26,7 +26,7 @@ from hnf_core.tactile.photometric_stereo import (
     save_calibration,
 )
 from hnf_core.tactile.tactile_map import Route
-from hnf_lab.encoder.network import perturb_sensor
+from hnf_lab.encoder.variation import perturb_sensor
 
 SHAPE, PIXEL_M = (96, 128), 60e-6
 

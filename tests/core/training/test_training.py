@@ -25,8 +25,9 @@ from hnf_core.metrics.spectra import window_power
 from hnf_core.simulation import contact_dynamics
 from hnf_core.simulation import simulate as simulator
 from hnf_core.simulation.surface_recipe import Noise, SurfaceRecipe, height_map, wavenumbers
-from hnf_core.training.fit import compute_band_expectation, compute_whittle_loss, pool_bins
+from hnf_core.training.fit import compute_band_expectation, compute_whittle_loss
 from hnf_core.training.model import FieldNetwork
+from hnf_core.training.windows import pool_bins
 from hnf_lab.shared_field.fit import (
     Likelihood,
     Schedule,

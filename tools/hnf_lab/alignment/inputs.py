@@ -35,7 +35,7 @@ from hnf_core.tactile.optics import SENSORS, Sensor
 from hnf_core.tactile.views import VIEW_PIXELS
 from hnf_lab.alignment.hatt_touch import HattTouchFolder
 
-from ..encoder.network import perturb_sensor
+from ..encoder.variation import perturb_sensor
 from .hatt_touch import iterate_readable
 
 Float32 = NDArray[np.float32]

@@ -28,7 +28,7 @@ from hnf_core.tactile.tactile_map import Route, TactileMap
 from hnf_core.tactile.views import PITCHES_M
 
 from ..evaluation.held_out import KnownMaterial, compute_distance_db, predict_spectrum
-from .network import perturb_sensor
+from .variation import perturb_sensor
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]

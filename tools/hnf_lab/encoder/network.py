@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,14 +31,6 @@ from hnf_core.material.alexnet_encoder import (
     get_backbone_shapes,
 )
 from hnf_core.safetensors_io import read_weights_bytes
-from hnf_core.tactile.optics import (
-    AMBIENT_SCATTER,
-    AZIMUTH_SCATTER_DEG,
-    CROSSTALK_SCATTER,
-    ELEVATION_SCATTER_DEG,
-    INTENSITY_SCATTER,
-    Sensor,
-)
 from hnf_core.tactile.views import VIEW_PIXELS
 
 SUFFIX = ".safetensors"
@@ -252,33 +243,3 @@ def _make_backbone() -> list[nn.Module]:
         if layer.pool:
             layers.append(nn.MaxPool2d(POOL_SIZE, POOL_STRIDE))
     return layers
-
-
-def perturb_sensor(sensor: Sensor, rng: np.random.Generator) -> Sensor:
-    """Draw a slightly different specimen of a sensor: other lamp directions, intensities, cross-talk and ambient light.
-
-    Training on such specimens keeps networks from learning the colors of one. Gel, slope limit and name stay, and every
-    lamp still reaches the membrane up to the slope limit.
-    """
-    lowest = float(np.degrees(np.arctan(sensor.max_slope))) + 0.5
-    off_diagonal = 1.0 - np.eye(3)
-    scatter = rng.uniform(-CROSSTALK_SCATTER, CROSSTALK_SCATTER, (3, 3)) * off_diagonal
-    crosstalk = np.clip(np.asarray(sensor.crosstalk) + scatter, 0.0, None)
-    return replace(
-        sensor,
-        azimuth_deg=_to_triple(
-            np.asarray(sensor.azimuth_deg) + rng.uniform(-AZIMUTH_SCATTER_DEG, AZIMUTH_SCATTER_DEG, 3)
-        ),
-        elevation_deg=max(lowest, sensor.elevation_deg + float(rng.uniform(*ELEVATION_SCATTER_DEG))),
-        intensity=_to_triple(
-            np.asarray(sensor.intensity) * (1.0 + rng.uniform(-INTENSITY_SCATTER, INTENSITY_SCATTER, 3))
-        ),
-        crosstalk=tuple(_to_triple(row) for row in crosstalk),
-        ambient=_to_triple(
-            np.clip(np.asarray(sensor.ambient) + rng.uniform(-AMBIENT_SCATTER, AMBIENT_SCATTER, 3), 0.0, None)
-        ),
-    )
-
-
-def _to_triple(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])

@@ -28,10 +28,8 @@ from hnf_core.material.alexnet_encoder import (
     IMAGENET_MEAN,
     LEVEL_INDICES,
     OUTPUT_COUNT,
-    VIEW_BANDS,
     AlexNet,
     AlexNetConfig,
-    Float,
     build_view_conditions,
     describe_with_alexnet,
     plane_basis,
@@ -40,13 +38,13 @@ from hnf_core.material.encoder_registry import Encoder
 from hnf_core.material.token import (
     ALEXNET_ID,
     BAND_FEATURES,
-    SHAPE_FEATURES,
 )
 from hnf_core.tactile.optics import SENSORS, Sensor
 from hnf_core.tactile.views import PITCHES_M
 
 from .evaluate import TokenErrors, evaluate_encoder, format_errors
-from .network import TorchAlexNet, load_backbone, perturb_sensor
+from .network import TorchAlexNet, load_backbone
+from .variation import encode_targets, perturb_sensor
 
 Single = NDArray[np.float32]
 
@@ -476,18 +474,3 @@ def _evaluate_held_out(network: AlexNet, folder: Path, partial: bool) -> TokenEr
     return evaluate_encoder(
         Encoder(ALEXNET_ID, "", lambda tactile_map: describe_with_alexnet(network, tactile_map)), held_out, rows
     )
-
-
-def encode_targets(token: Single | Float, contrast: Float, pitch_index: NDArray[np.intp]) -> Float:
-    """Return the network outputs (n, OUTPUT_COUNT) to train on for complete tokens (n, TOKEN_DIM) of n views.
-
-    Inverse of `decode_outputs`.
-    """
-    width = len(BAND_FEATURES)
-    bands = (pitch_index[:, None] * width + np.arange(VIEW_BANDS * width)[None, :]).astype(np.intp)
-    targets = np.concatenate([np.take_along_axis(token, bands, axis=1), token[:, -len(SHAPE_FEATURES) :]], axis=1)
-    targets = targets.astype(np.float64)
-    targets[:, LEVEL_INDICES] -= np.log10(np.asarray(PITCHES_M)[pitch_index] * np.maximum(contrast, CONTRAST_FLOOR))[
-        :, None
-    ]
-    return np.asarray(targets)

@@ -19,8 +19,8 @@ from hnf_core.errors import FileError
 from hnf_core.field.field import FieldConfig
 from hnf_core.files import write_bytes
 from hnf_core.safetensors_io import dump_tensors, load_tensors
-from hnf_core.training.fit import FINE_BINS
 from hnf_core.training.model import FieldNetwork
+from hnf_core.training.windows import FINE_BINS
 from hnf_lab.shared_field.simulated_strokes import (
     Specimen,
     SteadyStroke,

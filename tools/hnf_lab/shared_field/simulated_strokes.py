@@ -31,7 +31,7 @@ from hnf_core.simulation.material_classes import derive_seed, list_classes, samp
 from hnf_core.simulation.simulate import LEARNED_PHYSICS, SAMPLE_RATE_HZ, Stroke, simulate_batch, straight_stroke
 from hnf_core.simulation.surface_recipe import TILE_SIZE_M, SurfaceRecipe, height_map, random_recipe
 from hnf_core.tactile.height import tactile_map_from_height
-from hnf_core.training.fit import COARSE_EDGES_HZ, FINE_BINS, pool_bins
+from hnf_core.training.windows import COARSE_EDGES_HZ, FINE_BINS, pool_bins
 
 Float = NDArray[np.float64]
 

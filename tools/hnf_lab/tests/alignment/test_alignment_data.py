@@ -35,7 +35,7 @@ from hnf_lab.alignment.inputs import (
     render_touch,
     select_labelled,
 )
-from hnf_lab.encoder.network import perturb_sensor
+from hnf_lab.encoder.variation import perturb_sensor
 
 
 @given(st.integers(0, 7), st.integers(0, 2**31))
