@@ -1,4 +1,4 @@
-"""What the encoder is trained on, without torch: other specimens of a sensor, and the targets of a view."""
+"""Other specimens of a sensor, and targets of a view, that the encoder is trained on; without torch."""
 
 from __future__ import annotations
 
