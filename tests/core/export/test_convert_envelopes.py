@@ -119,7 +119,9 @@ def test_clicks_level_and_duration_survive(tmp_path_factory, record, way):
     after = find_loader(source)(source, OPTIONS)
     assert after.envelope.duration_s == pytest.approx(before.envelope.duration_s, abs=1e-3)
     level_before, level_after = rms(first), rms(after.render(10_000, 0, "x"))
-    if level_before > 0.01:
+    # The level of less than a period is a matter of its phase, which no format keeps.
+    cycles = before.envelope.duration_s * float(before.envelope.frequency.min())
+    if level_before > 0.01 and cycles >= 1.0:
         assert abs(20 * np.log10(level_after / level_before)) < 0.5 + compute_hidden_db(before.envelope, first)
     assert len(after.envelope.emphases) == len(before.envelope.emphases)
     for old, new in zip(before.envelope.emphases, after.envelope.emphases, strict=True):
