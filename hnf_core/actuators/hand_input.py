@@ -29,7 +29,7 @@ TOUCH_ADDRESS, SLIDE_ADDRESS, LIFT_ADDRESS = "/hnf/touch", "/hnf/slide", "/hnf/l
 SLIDE_STEP_S = 0.005
 """Interval at which a slide is continued [s]."""
 LOCAL_HOST = "127.0.0.1"
-"""Host at which OSC is received unless one is given: this machine hears itself alone."""
+"""Host at which OSC is received unless one is given: only programs of this machine are heard."""
 INPUT_FORMS = "osc:PORT, osc:HOST:PORT or - (standard input)"
 """The forms of an input, for messages."""
 
@@ -80,11 +80,12 @@ def parse_line(line: str) -> HandMessage | None:
             record = json.loads(line)
         except (json.JSONDecodeError, RecursionError) as error:
             raise ValueError("it is no JSON object") from error
-        if "speed" in record:
-            return _make_slide([record.get(name, 0) for name in ("speed", "force", "angle", "material")])
-        missing = [name for name in ("x", "y", "force") if name not in record]
+        needed = ("speed", "force") if "speed" in record else ("x", "y", "force")
+        missing = [name for name in needed if name not in record]
         if missing:
             raise ValueError(f"{missing[0]!r} is missing")
+        if "speed" in record:
+            return _make_slide([record.get(name, 0) for name in (*needed, "angle", "material")])
         return _make_touch([record["x"], record["y"], record["force"], record.get("material", 0)])
     words = [word for word in re.split(r"[\s,;]+", line) if word]
     return _make_touch(words)
@@ -239,10 +240,12 @@ def read_lines(hand: HandInput, lines: Iterable[str], on_end: Callable[[], None]
     """Feed lines of text to a hand within this context; on_end is called after the last, when the hand is lifted."""
 
     def read() -> None:
-        for line in lines:
-            hand.take_line(line)
-        hand.lift()
-        on_end()
+        try:
+            for line in lines:
+                hand.take_line(line)
+        finally:
+            hand.lift()
+            on_end()
 
     threading.Thread(target=read, daemon=True).start()
     yield

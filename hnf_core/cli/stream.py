@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -306,13 +306,23 @@ def _run_live(arguments: argparse.Namespace) -> int:
                     f"{device.rate_hz:g} Hz; gain {arguments.gain:g} dB; {describe_peak_limit(profile, device)}",
                     flush=True,
                 )
-            with read_lines(hand, sys.stdin, ended.set) if received is None else receive_osc(hand, *received):
+            with _feed(hand, received, ended):
                 _follow_hand(stream, hand, ended, arguments.seconds, device, profile.limits)
         except KeyboardInterrupt:
             pass
         finally:
             stream.stop()
     return _report_live(arguments, stream.report, source, hand)
+
+
+def _feed(
+    hand: HandInput, received: tuple[str, int] | None, ended: threading.Event
+) -> AbstractContextManager[int | None]:
+    """Feed a hand from OSC or from standard input, of which bytes that are no text only spoil their line."""
+    if received is not None:
+        return receive_osc(hand, *received)
+    lines = (line.decode("utf-8", "replace") for line in sys.stdin.buffer)
+    return read_lines(hand, lines, ended.set)
 
 
 def _choose_material(name: str) -> str:

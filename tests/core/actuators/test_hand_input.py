@@ -72,7 +72,7 @@ def test_any_line_is_taken_or_refused(line):
     [
         ("1 2", "x, y, force"), ("1 2 nan", "'nan' is no number"), ("1 2 three", "'three' is no number"),
         ('{"x": 1, "force": 2}', "'y' is missing"), ("{1", "no JSON object"), ("1 2 3 0.5", "number of a material"),
-        ('{"speed": true, "force": 1}', "True is no number"),
+        ('{"speed": 0.1}', "'force' is missing"), ('{"speed": true, "force": 1}', "True is no number"),
     ],
 )  # fmt: skip
 def test_the_first_refused_line_is_told(line, said):
