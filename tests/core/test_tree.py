@@ -139,6 +139,51 @@ def is_called_back_by_a_property(path: Path, tree: ast.Module) -> list[str]:
     ]
 
 
+def names_what_the_addon_lacks(path: Path, tree: ast.Module) -> list[str]:
+    """Window tests take modules by their text, ours("ui.tab").name: else only the window fails."""
+    found, modules = [], {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and (name := taken_module(node.value)):
+            modules[ast.unparse(node.targets[0])] = name
+    for node in ast.walk(tree):
+        if (name := taken_module(node)) and module_file(name) is None:
+            found.append(f"line {node.lineno}: {name}")
+        if isinstance(node, ast.Attribute):
+            name = taken_module(node.value) or modules.get(ast.unparse(node.value), "")
+            if name and (file := module_file(name)) is not None and not defines(file, node.attr):
+                found.append(f"line {node.lineno}: {name}.{node.attr}")
+    return found
+
+
+def taken_module(node: ast.AST) -> str:
+    """The name in ours("name"), "" of anything else."""
+    if isinstance(node, ast.Call) and ast.unparse(node.func) == "ours" and isinstance(node.args[0], ast.Constant):
+        return str(node.args[0].value)
+    return ""
+
+
+def module_file(name: str) -> Path | None:
+    parts = name.split(".")
+    place = (ROOT if parts[0] == "hnf_core" else BRIDGE).joinpath(*parts)
+    return next((file for file in (place.with_suffix(".py"), place / "__init__.py") if file.is_file()), None)
+
+
+def defines(file: Path, name: str) -> bool:
+    """True where a module has this name: defined, assigned or imported anywhere at its top, or a module of its own."""
+    if (file.parent / f"{name}.py").is_file() and file.name == "__init__.py":
+        return True
+    for node in ast.parse(file.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == name:
+            return True
+        if isinstance(node, ast.Import | ast.ImportFrom) and name in {each.asname or each.name for each in node.names}:
+            return True
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            if name in {part.id for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)}:
+                return True
+    return False
+
+
 def breaches(rule: Rule, *folders: Path) -> list[str]:
     return [
         f"{path.relative_to(ROOT)} {found}"
@@ -158,6 +203,7 @@ def breaches(rule: Rule, *folders: Path) -> list[str]:
         (is_unsafe, (CORE, BRIDGE, ROOT / "tools", ROOT / "tests")),
         (asks_for_the_version, (BRIDGE,)),
         (is_called_back_by_a_property, (BRIDGE,)),
+        (names_what_the_addon_lacks, (ROOT / "tests" / "app",)),
     ],
 )
 def test_no_file_breaks_the_rule(rule: Rule, folders: tuple[Path, ...]) -> None:
@@ -187,6 +233,9 @@ def test_no_file_breaks_the_rule(rule: Rule, folders: tuple[Path, ...]) -> None:
         (is_unsafe, "training/x.py", "torch.load('x', weights_only=True)"),
         (asks_for_the_version, "x.py", "if bpy.app.version >= (5, 0, 0): pass"),
         (is_called_back_by_a_property, "x.py", "class X:\n    on: bpy.props.BoolProperty(update=told)"),
+        (names_what_the_addon_lacks, "x.py", 'ours("bridge.scene.stored_data").get_artist_choice(1)'),
+        (names_what_the_addon_lacks, "x.py", 'state = ours("compat")\nstate.no_such_name'),
+        (names_what_the_addon_lacks, "x.py", 'ours("bridge.no_such_module")'),
     ],
 )
 def test_the_rule_catches_a_breach(rule: Rule, where: str, source: str) -> None:

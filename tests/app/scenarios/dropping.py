@@ -54,7 +54,7 @@ def check_a_material_goes_where_the_mouse_is(stage):
     write_material(material, "wool-knit")
     bpy.context.view_layer.objects.active = left
     yield from dropped(stage, material, stage.seen_at((0.1, 0.0, 0.0)))
-    carried = ours("bridge.scene.stored_data").get_definition
+    carried = ours("bridge.scene.material_definition").get_definition
     stage.expect("the plate under the mouse has it", carried(right.active_material) is not None)
     stage.expect("the active one has not", left.active_material == right.active_material
                  or carried(left.active_material) is None)  # fmt: skip

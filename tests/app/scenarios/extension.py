@@ -168,7 +168,7 @@ def check_a_material_file_is_dropped(stage):
     with stage.over():
         bpy.ops.hnf.import_material("INVOKE_DEFAULT", True, filepath=str(path))
     yield 0.4
-    own = ours("bridge.scene.stored_data").get_artist_choice
+    own = ours("bridge.scene.material_definition").get_artist_choice
     word = own(bpy.data.objects["Cube"].active_material)
     stage.expect("the cube feels like it", getattr(word, "name", "") != "", word)
     yield from stage.picture("material-dropped")

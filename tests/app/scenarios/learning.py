@@ -35,7 +35,7 @@ def slot():
     return (
         material.name,
         material.hnf_touch.library,
-        ours("bridge.scene.stored_data").get_artist_choice(material),
+        ours("bridge.scene.material_definition").get_artist_choice(material),
     )
 
 

@@ -11,11 +11,12 @@ SCREEN = "1280x1100"
 ALONE = "yes"  # it measures
 FRAMES, STEP = 48, 4
 QUICK_S = 5.0  # ten times what is promised: this may run on a busy machine
+STILL_S = 15.0  # a view is drawn eight times, each smoother; in software, beside other work, that can take seconds
 REST_S = 2.5  # Blender draws a view eight times after each change; in software that takes as long
 
 
 def overlay_pixels(stage, name):
-    """A photograph of the surface as the overlay draws on it, and its bytes for comparing."""
+    """A photograph of the surface as the overlay draws on it, once the view stands still, for comparing."""
     yield from stage.drawn("WINDOW")
     yield 0.2
     at, reach = stage.seen_at((0.0, 0.0, 0.0)), 0.045
@@ -23,7 +24,12 @@ def overlay_pixels(stage, name):
     half = (right - at[0], top - at[1])
     height = stage.window().height
     part = (at[0] - half[0], height - at[1] - half[1], 2 * half[0], 2 * half[1])
-    stage.memory[name] = stage.photograph(name, part).read_bytes()
+    photograph, taken = b"", stage.photograph(name, part).read_bytes()
+    until = time.monotonic() + STILL_S
+    while photograph != taken and time.monotonic() < until:
+        yield 0.3
+        photograph, taken = taken, stage.photograph(name, part).read_bytes()
+    stage.memory[name] = taken
 
 
 def check_a_baked_scene(stage):
