@@ -96,6 +96,7 @@ def test_everything_else_is_named_with_its_own_reason(stroke_properties, tmp_pat
     collapsed = add_plane("Flat", SIZE)
     collapsed.data.vertices.foreach_set("co", np.zeros(12, dtype=np.float32))
     collapsed.data.update()
+    add_mesh("Line", [(0, 0, 0), (10, 0, 0), (20, 0, 0)], [(0, 1, 2)])
     fur = bpy.data.objects.new("Fur", bpy.data.hair_curves.new("Fur"))
     fog = bpy.data.objects.new("Fog", bpy.data.volumes.new("Fog"))
     kit = bpy.data.objects.new("Kit", None)
@@ -112,6 +113,7 @@ def test_everything_else_is_named_with_its_own_reason(stroke_properties, tmp_pat
         "curve 'Guide'": "without faces",
         "object 'Wire'": "no faces",
         "object 'Flat'": "none of its faces has any area",
+        "object 'Line'": "none of its faces has any area",
         "hair 'Fur'": "hair has no surface",
         "volume 'Fog'": "a volume has no faces",
         "object 'Kit'": "instances of collection 'Parts'",

@@ -34,6 +34,8 @@ REASONS_BY_TYPE = {
 MAKE_REAL = "Object > Apply > Make Instances Real"
 MAX_COPIES, MAX_FACES = 500, 2_000_000
 """Largest number of objects that are made of instances, and of faces that Geometry Nodes' instances are made into."""
+MAX_MEASURED_FACES = 1_000
+"""Number of faces up to which the area of each is read."""
 MAX_COUNTED = 200_000
 """Largest number of instances that are counted."""
 
@@ -77,9 +79,9 @@ def _explain_no_faces(obj: Any, depsgraph: Any) -> str:
     """Return why an object of one of SURFACE_TYPES has no face with an area; "" if it has one."""
     evaluated = obj.evaluated_get(depsgraph)
     if obj.type == "MESH" and len(evaluated.data.polygons):
-        step = get_coordinate_step(evaluated)
-        if step * 100.0 < min(filter(None, map(abs, evaluated.dimensions)), default=0.0):
-            return ""  # far too fine a grid for all its faces to collapse, and too many objects to measure each
+        step, has_many = get_coordinate_step(evaluated), len(evaluated.data.polygons) > MAX_MEASURED_FACES
+        if has_many and step * 100.0 < min(filter(None, map(abs, evaluated.dimensions)), default=0.0):
+            return ""  # far too fine a grid for all its faces to collapse, and a scene may have many such objects
         return _explain_no_area(evaluated.data, step)
     if obj.type == "META" and not _has_faces(evaluated, depsgraph) and "." in obj.name:
         return f"it is a part of the metaball '{obj.name.partition('.')[0]}', whose surface holds it."

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -149,6 +151,24 @@ def test_ridges_cancel_in_the_normals_of_the_smooth_shape(pitch, width):
     smooth = compute_smooth_normals(mesh, point, mesh.normals[triangle, 0], triangle)
     assert smooth is not None
     assert np.degrees(np.arccos(smooth[:, 2].min())) < 2.0
+
+
+@pytest.mark.parametrize("corners", [(200, 200, 200), (200, 200, 201), (200, 201, 200)])
+def test_a_face_of_one_point_or_line_changes_no_smooth_normal(corners):
+    mesh = make_strip(lambda x: 0.25e-3 * np.sin(2.0 * np.pi * x / 2e-3), step=0.125e-3)
+    triangle = np.arange(100, 300, 3, dtype=np.int32)
+    point = mesh.corner_positions()[triangle].mean(axis=1)
+    expected = compute_smooth_normals(mesh, point, mesh.normals[triangle, 0], triangle)
+    with_flat = replace(
+        mesh,
+        triangles=np.concatenate([mesh.triangles, [corners]]).astype(np.int32),
+        face=np.append(mesh.face, mesh.face.max() + 1).astype(np.int32),
+        slot=np.append(mesh.slot, 0).astype(np.int32),
+        normals=np.concatenate([mesh.normals, mesh.normals[:1]]),
+    )
+    with np.errstate(all="raise"):
+        found = compute_smooth_normals(with_flat, point, mesh.normals[triangle, 0], triangle)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_smooth_and_coarse_surfaces_keep_their_normals():
