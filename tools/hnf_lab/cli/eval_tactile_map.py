@@ -29,6 +29,14 @@ def add_parser(subjects: Any) -> None:
     parser.add_argument(
         "--beside", type=Path, metavar="FILE", help="of another D_φ to compare it with, see hnf train tactile-map"
     )
+    parser.add_argument(
+        "--touch", type=Path, nargs="+", metavar="FILE",
+        help="instead: touch these scenes and photographs by hnf touch with --weights (default: regression) and with "
+        "--beside (default: diffusion), and compare what is felt; needs bpy",
+    )  # fmt: skip
+    parser.add_argument(
+        "--width", type=float, default=68.3, metavar="MM", help="of what photographs of --touch show (default 68.3)"
+    )
     parser.add_argument("--quick", action="store_true", help="a handful of tiles made on the fly, few steps")
     parser.add_argument("--tiles", type=int, metavar="N", help="of new pieces, and of new classes")
     parser.add_argument("--cache", type=Path, metavar="DIR", help="keep tiles and predictions here for the next run")
@@ -42,6 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command. Raises HnfError; returns the exit code."""
     if arguments.seed < 0 or (arguments.tiles is not None and arguments.tiles < 2):
         raise UsageError("--seed must be at least 0, --tiles 2.")
+    if arguments.touch is not None:
+        return _run_touch(arguments)
     from dataclasses import replace
 
     from hnf_core.tactile.diffusion.unet import load_map_weights
@@ -69,4 +79,22 @@ def run(arguments: argparse.Namespace) -> int:
     print(
         json.dumps(report_to_json(setup, measured), indent=1) if arguments.json else format_map_report(setup, measured)
     )
+    return 0
+
+
+def _run_touch(arguments: argparse.Namespace) -> int:
+    if not 1.0 <= arguments.width <= 10_000.0:
+        raise UsageError(f"--width {arguments.width:g}.", remedy="Give 1 to 10000 millimetres.")
+    from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION
+    from hnf_core.units import mm_to_m
+
+    from ..evaluation.tactile_map.end_to_end import compare_networks, format_networks, networks_to_json
+
+    networks = [str(arguments.weights or REGRESSION), str(arguments.beside or DIFFUSION)]
+    bar = ProgressBar()
+    try:
+        rows = compare_networks(arguments.touch, networks, side_m=mm_to_m(arguments.width), progress=bar.show)
+    finally:
+        bar.close()
+    print(json.dumps(networks_to_json(rows), indent=1) if arguments.json else format_networks(rows))
     return 0

@@ -150,7 +150,7 @@ def touch_photograph(name: str, image: Path, folder: Path) -> list[tuple[bool, B
     for named, stem in ((True, name), (False, "image")):
         files[named] = folder / f"{stem}{image.suffix}"
         shutil.copyfile(image, files[named])
-    _save_scene(scene, name, files)
+    save_planes(scene, [(name, files[True]), ("Material", files[False])])
     strokes = tuple(StrokeRequest(parse_stroke(STROKE), target) for target in ("Plane", "Plane.001"))
     bakes = _bake(TouchRequest(scene=scene, out=folder / "out", strokes=strokes))
     for file in files.values():
@@ -158,16 +158,17 @@ def touch_photograph(name: str, image: Path, folder: Path) -> list[tuple[bool, B
     return list(zip((True, False), bakes, strict=True))
 
 
-def _save_scene(path: Path, name: str, images: dict[bool, Path]) -> None:
+def save_planes(path: Path, planes: Sequence[tuple[str, Path]], side_m: float = SIDE_M) -> None:
+    """Save a scene of planes a metre apart, each with a material of a name and an image file as its base color."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    for named in (True, False):
-        bpy.ops.mesh.primitive_plane_add(size=SIDE_M, location=(0.0 if named else 1.0, 0.0, 0.0))
-        material: Any = bpy.data.materials.new(name if named else "Material")
+    for index, (name, image) in enumerate(planes):
+        bpy.ops.mesh.primitive_plane_add(size=side_m, location=(float(index), 0.0, 0.0))
+        material: Any = bpy.data.materials.new(name)
         material.use_nodes = True
         texture = material.node_tree.nodes.new("ShaderNodeTexImage")
-        texture.image = bpy.data.images.load(str(images[named]))
+        texture.image = bpy.data.images.load(str(image))
         shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
         material.node_tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
         bpy.context.object.data.materials.append(material)

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from hnf_core.material.library import get_material, load_library
+from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION
 from hnf_lab.evaluation.photographs.measure import touch_photograph
+from hnf_lab.evaluation.tactile_map.end_to_end import compare_networks
 
 
 def write_photograph(path: Path) -> Path:
@@ -28,3 +30,13 @@ def test_a_name_decides_and_without_one_it_could_be_many_things(tmp_path: Path) 
     assert "denim" not in felt.reason
     assert felt.library.mechanics not in [material.mechanics for material in load_library()]
     assert felt.confidence < 0.5 < sure.main_material.confidence
+
+
+def test_a_photograph_is_touched_with_either_network(tmp_path: Path) -> None:
+    image = write_photograph(tmp_path / "x.png")
+    first, second = compare_networks([image], [REGRESSION, DIFFUSION], side_m=0.07)
+    assert first.strokes == second.strokes == 1
+    assert first.predicted_patches == second.predicted_patches > 0
+    assert second.map_db > 0.1
+    assert np.isfinite(second.vibration_db)
+    assert 0.0 < second.confidence < 0.5

@@ -6,6 +6,7 @@ import json
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,17 +20,27 @@ from hnf_core.cli.main import main
 from hnf_core.datasets import pair_generation
 from hnf_core.datasets.pair_generation import PairSizes, list_tile_requests, render_tile
 from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, decode_rgb
-from hnf_core.errors import FileError, UsageError
+from hnf_core.errors import FileError, SceneError, UsageError
+from hnf_core.export.formats import FORMATS
+from hnf_core.export.options import ExportOptions
 from hnf_core.field.weights import load_field
 from hnf_core.material.encoder_registry import get_encoder
 from hnf_core.material.library import get_material
-from hnf_core.material.token import ENCODER_ID
+from hnf_core.material.token import ENCODER_ID, LEVELS, TOKEN_DIM, Token
+from hnf_core.signal import Signal
 from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, load_map_weights, save_map_weights
 from hnf_core.tactile.views import AppearanceView
 from hnf_lab.bootstrap import bootstrap_mean, bootstrap_ratio
 from hnf_lab.evaluation.held_out import KnownMaterial, predict_spectrum
 from hnf_lab.evaluation.tactile_map import run, score, tiles
 from hnf_lab.evaluation.tactile_map import tiles as predictions
+from hnf_lab.evaluation.tactile_map.end_to_end import (
+    EDGES_HZ,
+    compare_networks,
+    compare_octaves,
+    format_networks,
+    networks_to_json,
+)
 from hnf_lab.evaluation.tactile_map.naive_baselines import (
     GREY_HEIGHT_M,
     compute_grey_slopes,
@@ -389,3 +400,82 @@ def test_without_a_diffusion_there_are_no_steps_to_show(weights, tmp_path) -> No
     assert DIFFUSION not in json.dumps(report_to_json(setup, measured))
     write_plots(tmp_path, setup, measured)
     assert {path.name for path in tmp_path.glob("*.png")} == {"tactile-map-examples.png", "tactile-map-excess.png"}
+
+
+OCTAVES = st.lists(st.floats(-60.0, 40.0), min_size=len(EDGES_HZ) - 1, max_size=len(EDGES_HZ) - 1).map(np.array)
+
+
+@given(OCTAVES, st.floats(-20.0, 20.0))
+def test_octaves_differ_by_the_gain_between_them(levels, gain) -> None:
+    assert compare_octaves(levels + gain, levels) == pytest.approx(abs(gain), abs=1e-9)
+    quiet = np.where(levels < levels.max() - 30.0, -200.0, levels)
+    assert compare_octaves(quiet, levels) == 0.0
+
+
+class Product:
+    """Stands for `hnf touch`: a tone whose amplitude is that of the network, and patches as the product keeps them."""
+
+    def __init__(self, predicts: bool, code: int = 0) -> None:
+        self.predicts, self.code, self.runs = predicts, code, []
+
+    def __call__(self, words, limit_s):
+        self.runs.append(list(words))
+        if self.code:
+            return self.code, "note: a note\nhnf: the scene is damaged.\n"
+        from hnf_blender.touch.patch_cache import Prediction, save_prediction
+        from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME
+
+        out, network = Path(words[words.index("--out") + 1]), words[-1]
+        amplitude = 2.0 if self.predicts and network == DIFFUSION else 1.0
+        samples = amplitude * np.sin(2.0 * np.pi * 100.0 * np.arange(4000) / 4000.0)
+        (out / CACHE_FOLDER_NAME).mkdir(parents=True)
+        FORMATS["wav"].write(out / "a.wav", Signal(samples.astype(np.float32), 4000.0, 0, {}), ExportOptions())
+        if self.predicts:
+            values = np.zeros(TOKEN_DIM, dtype=np.float32)
+            values[LEVELS] = np.log10(amplitude)
+            token = Token(values, np.ones(TOKEN_DIM, dtype=bool), np.ones(TOKEN_DIM, dtype=np.float32))
+            images = np.zeros((1, 64, 64, 3), dtype=np.float16)
+            prediction = Prediction(images, np.array([1e-3]), 1e-3, token, "gelsight", ENCODER_ID, network)
+            save_prediction(out / CACHE_FOLDER_NAME, network, prediction)
+        route = "predicted" if self.predicts else "measured"
+        stroke = {
+            "name": "a", "wav": "a.wav", "rms_m_s2": amplitude, "confidence": 0.25, "routes": {"8 mm": route}
+        }  # fmt: skip
+        report = {"strokes": [stroke], "counts": {"diffusion_calls": int(self.predicts)}}
+        (out / "report.json").write_text(json.dumps(report))
+        return 0, ""
+
+
+def test_either_network_is_felt_and_their_difference_is_told(tmp_path) -> None:
+    pytest.importorskip("bpy")
+    scene = tmp_path / "a.blend"
+    scene.touch()
+    product = Product(predicts=True)
+    first, second = compare_networks([scene], [REGRESSION, DIFFUSION], side_m=0.07, run=product)
+    assert [words[-1] for words in product.runs] == [REGRESSION, DIFFUSION]
+    assert product.runs[0][:-5] == product.runs[1][:-5]
+    assert (first.network, first.predicted_patches, first.used_bands) == (REGRESSION, 1, 1)
+    assert np.isnan([first.vibration_db, first.map_db]).all()
+    assert second.vibration_db == pytest.approx(20.0 * np.log10(2.0), abs=0.01)
+    assert second.map_db == pytest.approx(20.0 * np.log10(2.0), abs=1e-5)
+    assert networks_to_json([first, second])[0]["vibration_db"] is None
+    assert "| a.blend | diffusion | 1 |" in format_networks([first, second])
+
+
+def test_a_measured_relief_is_the_same_with_either_network(tmp_path) -> None:
+    pytest.importorskip("bpy")
+    scene = tmp_path / "a.blend"
+    scene.touch()
+    _, second = compare_networks([scene], [REGRESSION, DIFFUSION], side_m=0.07, run=Product(predicts=False))
+    assert (second.vibration_db, second.predicted_patches, second.used_bands) == (0.0, 0, 0)
+    assert np.isnan(second.map_db)
+
+
+def test_a_surface_that_cannot_be_touched_is_named(tmp_path) -> None:
+    scene = tmp_path / "a.blend"
+    with pytest.raises(FileError, match="is no file"):
+        compare_networks([scene], [REGRESSION], side_m=0.07)
+    scene.touch()
+    with pytest.raises(SceneError, match="the scene is damaged"):
+        compare_networks([scene], [REGRESSION], side_m=0.07, run=Product(False, code=1))
+    assert hnf("eval", "tactile-map", "--touch", scene, "--width", 0) == 2
