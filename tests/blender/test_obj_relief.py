@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hnf_blender.bridge.importers import ReliefMap, open_scene, parse_mtl, parse_relief_map
+from hnf_blender.bridge.shader.images import explain_missing_image
 from hnf_core.errors import FileError
 
 HALF = 0.02
@@ -131,3 +132,16 @@ def test_options_are_parsed_in_any_number(multiplier, base, gain, scale, file):
 def test_any_text_is_parsed(text):
     for reliefs in parse_mtl(f"newmtl a\nbump {text}\n{text}").values():
         assert all(relief.file for relief in reliefs.values())
+
+
+@pytest.mark.parametrize("written", ["p.png", ".\\p.png", "looks\\p.png", ".\\looks/p.png"])
+def test_a_picture_is_found_by_a_path_that_windows_wrote(tmp_path, written):
+    place = tmp_path / written.replace("\\", "/")
+    place.parent.mkdir(exist_ok=True)
+    write_picture(place, ridges(8, 2))
+    sheet = import_sheet(tmp_path, f"map_Kd {written}")
+    image = next(node.image for node in sheet.data.materials[0].node_tree.nodes if node.type == "TEX_IMAGE")
+    assert tuple(image.size) == (8, 8)  # Blender finds it, and so do we
+    assert explain_missing_image(image) is None
+    place.unlink()
+    assert "p.png" in explain_missing_image(image)

@@ -10,7 +10,6 @@ import hashlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from hnf_core.progress import add_work
 from hnf_core.scene.mesh import TriangleMesh, compute_float32_frame, has_area
 from hnf_core.scene.raycast import Hits, RayCaster, make_embree_caster, refine_hits
 
-from ..shader.images import explain_missing_image
+from ..shader.images import explain_missing_image, get_absolute_path
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
@@ -202,7 +201,8 @@ def _find_modifier_problem(modifier: Any, evaluated: Any) -> str:
         return "it is not bound"
     if modifier.type in {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}:
         path = modifier.filepath if modifier.type == "MESH_CACHE" else modifier.cache_file.filepath
-        return "" if _is_file(path, modifier.id_data.library) else f"its file {path} is not there"
+        is_there = get_absolute_path(path, modifier.id_data.library).is_file()
+        return "" if is_there else f"its file {path} is not there"
     if modifier.type == "BOOLEAN":
         source = "object" if modifier.operand_type == "OBJECT" else "collection"
         return "" if getattr(modifier, source) else f"its {source} is missing"
@@ -214,13 +214,6 @@ def _find_modifier_problem(modifier: Any, evaluated: Any) -> str:
     warnings = [*getattr(modifier, "node_warnings", ()), *getattr(evaluated, "node_warnings", ())]
     errors = [warning.message for warning in warnings if warning.type == "ERROR"]
     return errors[0] if errors else ""
-
-
-def _is_file(path: str, library: Any) -> bool:
-    """Return True if a path of Blender's, which may be relative to a .blend, is that of a file."""
-    import bpy
-
-    return Path(bpy.path.abspath(path, library=library)).is_file()
 
 
 def _has_any_area(mesh: TriangleMesh) -> bool:

@@ -24,14 +24,23 @@ NUMBERED_NAME = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 
 def list_image_files(image: Any) -> list[Path]:
     """Return an image's files, one per UDIM tile; none if it is packed, painted or generated."""
-    import bpy
-
     if image.packed_files or image.is_dirty or image.source not in {"FILE", "TILED", "SEQUENCE", "MOVIE"}:
         return []
-    path = bpy.path.abspath(image.filepath, library=image.library)
+    path = get_absolute_path(image.filepath, image.library)
     if image.source == "TILED":
-        return [_get_tile_path(path, tile.number) for tile in image.tiles]
-    return [Path(path)]
+        return [_get_tile_path(str(path), tile.number) for tile in image.tiles]
+    return [path]
+
+
+def get_absolute_path(text: str, library: Any) -> Path:
+    """Return the absolute path of a file as Blender finds it, from a text that may be relative to a .blend.
+
+    Backslashes separate folders on every system, as in what Windows programs wrote; Blender's own function for add-ons
+    leaves them.
+    """
+    import bpy
+
+    return Path(bpy.path.abspath(text, library=library).replace("\\", "/"))
 
 
 def read_file_bytes(path: Path) -> bytes:
