@@ -92,7 +92,8 @@ def _estimate_bytes(session: Session, gathered: GatheredJobs, needed: list[Strok
             seconds = float(job.stroke.samples.time[-1])
             stored = int(STROKE_BYTES + METRE_BYTES * job.stroke.length_m + SECOND_BYTES * seconds)
         total += stored
-    surfaces = {job.object_name: find_object(session.scene, job.object_name) for job in gathered.jobs}
+    names = dict.fromkeys(name for job in gathered.jobs for name in job.object_names)
+    surfaces = {name: find_object(session.scene, name) for name in names}
     meshes = {obj.data.name_full: obj.data for obj in surfaces.values() if obj.type == "MESH"}
     for mesh in meshes.values():
         total += count_token_bytes(mesh) or FACE_BYTES * len(mesh.polygons) + PALETTE_BYTES

@@ -22,10 +22,11 @@ from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..bridge.scene.temp_scene import suppress_output
 from ..bridge.stroke.read_stroke import list_strokes
 from ..touch.bake_storage import check_validity, find_shared_sources, group_by_mesh, has_tokens, make_face_tokens
+from ..touch.baked_stroke import BakedStroke
 from ..touch.report import Freshness, Report
 from ..touch.session import Session, StrokeJob, gather_curve_jobs, make_scene_session
 from ..touch.stroke_bake import make_stroke_bake
-from ..touch.synthesise import BakedStroke, bake_strokes, synthesise_stroke
+from ..touch.synthesise import bake_strokes, synthesise_stroke
 from .child_job import Failed, Finished, Message, Started, Step, encode_message
 from .query_job import run_query_job
 from .request import (
@@ -117,13 +118,13 @@ def select_strokes(scene: Any, only: Sequence[str]) -> list[Any]:
 
 
 def is_up_to_date(session: Session, job: StrokeJob) -> bool:
-    """Return True if a stroke's bake and its surface's tokens are those that a new bake would make.
+    """Return True if a stroke's bake and its surfaces' tokens are those that a new bake would make.
 
     A bake that holds, but was made with other names, is not.
     """
     status = check_validity(find_object(session.scene, job.curve_name), job)
     is_same = status.freshness is Freshness.FRESH and not status.why
-    return is_same and has_tokens(session, find_object(session.scene, job.object_name))
+    return is_same and all(has_tokens(session, find_object(session.scene, name)) for name in job.object_names)
 
 
 def _find_scene(request: JobRequest) -> tuple[Any, Any]:

@@ -95,7 +95,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
     )
     surface: bpy.props.PointerProperty(
         name="Surface",
-        description="Object that is touched; empty: the nearest visible mesh",
+        description="Object that is touched; empty: every visible object under the stroke, in order",
         type=bpy.types.Object,
         override=OVERRIDABLE,
     )

@@ -504,7 +504,13 @@ def _find_mesh_waves(session: Session, job: StrokeJob) -> dict[str, float]:
         mesh = session.get_surface(obj).mesh
         if job.stroke is not None:
             contacts = find_contacts(job.stroke.samples, job.stroke.get_surface(mesh))
-            return find_mesh_waves(session, obj, plan_patches(contacts)[0])
+            found = find_mesh_waves(session, obj, plan_patches(contacts)[0])
+            for crossed in job.stroke.crossed:
+                other = find_object(session.scene, crossed.name)
+                samples = crossed.move_samples(job.stroke.samples)
+                contacts = find_contacts(samples, session.get_surface(other).mesh)
+                found = {**find_mesh_waves(session, other, plan_patches(contacts)[0]), **found}
+            return found
         slots = sorted(set(mesh.slot.tolist())) if job.slot is None else [job.slot]
         patches: list[Patch] = []
         for slot in slots:
@@ -533,7 +539,8 @@ def add_mesh_relief(slots: Iterable[SlotPlan], waves: Mapping[str, float]) -> tu
 
 def describe_stated_heights(session: Session, jobs: Iterable[StrokeJob]) -> list[str]:
     """Return a note on each material under strokes whose shader states a height that will not be believed."""
-    facts = [session.get_facts(find_object(session.scene, name)) for name in {job.object_name: None for job in jobs}]
+    names = dict.fromkeys(name for job in jobs for name in job.object_names)
+    facts = [session.get_facts(find_object(session.scene, name)) for name in names]
     notes = [
         format_stated_note(name, height)
         for each in facts
@@ -546,13 +553,16 @@ def describe_stated_heights(session: Session, jobs: Iterable[StrokeJob]) -> list
 def plan_slots(session: Session, job: StrokeJob) -> tuple[SlotPlan, ...]:
     """Return the expected route of each slot that a job's stroke may touch.
 
-    These are all slots of its object, or the one on which it is to be placed. A route says where the relief comes from:
-    measured, predicted or prior.
+    These are all slots of its objects, or the one on which it is to be placed. A route says where the relief comes
+    from: measured, predicted or prior.
     """
-    plans = plan_object_slots(
-        session, find_object(session.scene, job.object_name), "" if job.stroke is None else job.stroke.material
+    material = "" if job.stroke is None else job.stroke.material
+    return tuple(
+        plan
+        for name in job.object_names
+        for slot, plan in enumerate(plan_object_slots(session, find_object(session.scene, name), material))
+        if job.slot in (None, slot)
     )
-    return tuple(plan for slot, plan in enumerate(plans) if job.slot in (None, slot))
 
 
 def plan_object_slots(session: Session, obj: Any, material: str = "") -> tuple[SlotPlan, ...]:
@@ -607,7 +617,7 @@ def describe_shader_reliefs(session: Session, gathered: GatheredJobs) -> list[st
     The shader's relief is used there; the notes say what remains of the material.
     """
     notes = []
-    for name in dict.fromkeys(job.object_name for job in gathered.jobs):
+    for name in dict.fromkeys(name for job in gathered.jobs for name in job.object_names):
         obj, choices = find_object(session.scene, name), session.get_choices(name)
         facts = session.get_facts(obj)
         for slot, (material, relief_source) in enumerate(zip(facts.materials, facts.relief_sources, strict=True)):

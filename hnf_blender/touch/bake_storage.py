@@ -30,17 +30,17 @@ from ..bridge.stroke.read_stroke import hash_touch, trace_path
 from ..props.scene_settings import find_index
 from ..translations import tr
 from .bake_patches import TouchedObject, get_encoder_name
+from .baked_stroke import BakedStroke
 from .report import Freshness, StrokeStatus
 from .session import InputHashes, Session, StrokeJob, SurfaceFacts
 from .stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
-from .synthesise import BakedStroke
 
 
 def group_by_mesh(strokes: Sequence[BakedStroke]) -> list[list[BakedStroke]]:
-    """Group strokes by the mesh that they touch."""
+    """Group strokes by the mesh that they touch; of a stroke across several objects, each its own part."""
     groups: dict[str, list[BakedStroke]] = {}
-    for stroke in strokes:
-        groups.setdefault(stroke.touched.obj.data.name_full, []).append(stroke)
+    for part in (part for stroke in strokes for part in stroke.split_by_object()):
+        groups.setdefault(part.touched.obj.data.name_full, []).append(part)
     return list(groups.values())
 
 

@@ -22,10 +22,18 @@ from hnf_core.signal import Signal
 
 from ..bridge.scene.temp_scene import suppress_output
 from .bake_patches import get_encoder_name, get_resolved_wavelength, get_widest_map
+from .baked_stroke import BakedStroke
 from .material_choice import SlotMaterial, format_certainty, round_likely
 from .report import StrokeReport
 from .session import StrokeJob
-from .synthesise import BakedStroke, SynthesisedStroke, add_provenance, get_signal_facts, make_stroke_input
+from .synthesise import (
+    SynthesisedStroke,
+    add_provenance,
+    compute_known_shares,
+    compute_mean_share,
+    get_signal_facts,
+    make_stroke_input,
+)
 
 
 def write_stroke_files(
@@ -105,6 +113,7 @@ def write_stroke_files(
         likely=round_likely(main),
         materials=_describe_patches(baked),
         off_surface=round(baked.off_surface, 4),
+        objects=_describe_objects(baked, synthesised),
     )
 
 
@@ -113,6 +122,7 @@ def _describe_patches(baked: BakedStroke) -> list[dict[str, Any]]:
     touched = baked.patch_index[baked.patch_index >= 0]
     return [
         {
+            "object": baked.object_names[baked.get_owner(index)],
             "shader": material.shader,
             "library_material": material.library.name,
             "confidence": round(material.confidence, 4),
@@ -124,6 +134,28 @@ def _describe_patches(baked: BakedStroke) -> list[dict[str, Any]]:
         for index in dict.fromkeys(touched.tolist())
         for material in [baked.materials[index]]
     ]
+
+
+def _describe_objects(baked: BakedStroke, synthesised: SynthesisedStroke) -> list[dict[str, Any]]:
+    """Describe what was felt of each object, in the order in which the stroke touches them, for the report."""
+    owners, shares = baked.sample_owners, compute_known_shares(baked)
+    known = compute_mean_share(shares, baked.patch_index)
+    described = []
+    for owner in dict.fromkeys(owners[owners >= 0].tolist()):
+        index = np.where(owners == owner, baked.patch_index, -1).astype(np.int32)
+        patch = int(np.bincount(index[index >= 0]).argmax())
+        # The synthesis is as certain on one object as on the other; what is known of them differs.
+        certainty = synthesised.confidence * compute_mean_share(shares, index) / known if known else 0.0
+        described.append({
+            "object": baked.object_names[owner],
+            "material": baked.materials[patch].shader,
+            "library_material": baked.materials[patch].library.name,
+            "routes": routes_by_band(baked.get_routes(patch), baked.records[patch].mesh_bands),
+            "confidence": round(certainty, 4),
+            "tokens": len(np.unique(index[index >= 0])),
+            "time_share": round(float(np.mean(owners[owners >= 0] == owner)), 4),
+        })  # fmt: skip
+    return described
 
 
 def redraw_stroke_plot(
@@ -140,14 +172,15 @@ def _plot_stroke(
 ) -> None:
     """Draw the plot of a stroke: rendered view, signal over time, facts and tactile map."""
     record, facts = baked.records[baked.main_patch], get_signal_facts(baked)
-    main_slot = baked.patches[baked.main_patch].slot
+    main_slot, main_object = baked.patches[baked.main_patch].slot, baked.objects[baked.get_owner(baked.main_patch)]
+    lines = [format_material_line(part.stroke.object_name, part.touched_materials) for part in baked.split_by_object()]
     write_stroke_figure(
         path, title=job.name, action=action, signal=signal, view=view,
         facts={
-            "Material": format_material_line(job.object_name, baked.touched_materials),
+            "Material": "; ".join(lines),
             "Routes": facts["routes"],
             "Height": _format_height_line(
-                facts["height_source"], get_resolved_wavelength(record), baked.touched.has_relief_at(main_slot)
+                facts["height_source"], get_resolved_wavelength(record), main_object.has_relief_at(main_slot)
             ),
             "Confidence": f"{confidence:.0%} in the whole signal; probe: {baked.stroke.probe}",
         },

@@ -47,11 +47,15 @@ class StrokeReport:
     likely : Mapping[str, float]
         The first three library materials that it could be, by probability; empty if one alone is felt.
     materials : sequence of Mapping
-        What the surface was taken for, patch by patch in the order in which they are touched: `shader`,
+        What the surface was taken for, patch by patch in the order in which they are touched: `object`, `shader`,
         `library_material`, `confidence` in that choice alone (whereas `confidence` of the stroke is that of the entire
         signal), `reason`, `likely`, `routes`, and `time_share`, the patch's fraction of the contact.
     off_surface : float
         Fraction of its time, 0 to 1, that it presses beside its surface, where it is silent.
+    objects : sequence of Mapping
+        What was felt of each object, in the order in which they are touched: `object`, the `material`,
+        `library_material` and `routes` of the patch that is touched longest, `confidence` in its part of the signal,
+        the number of its `tokens`, and `time_share`, its fraction of the contact.
     """
 
     name: str
@@ -80,6 +84,7 @@ class StrokeReport:
     fields: Mapping[str, str] = field(default_factory=dict)
     materials: Sequence[Mapping[str, Any]] = ()
     off_surface: float = 0.0
+    objects: Sequence[Mapping[str, Any]] = ()
 
 
 MAX_OFF_SURFACE = 0.1

@@ -39,12 +39,13 @@ from .bake_plan import (
     read_previous_run,
 )
 from .bake_storage import store_tokens
+from .baked_stroke import BakedStroke
 from .output_files import redraw_stroke_plot, save_baked_blend, write_stroke_files
 from .overview import StrokeViews
 from .query import add_queries, carry_over_strokes, format_query_line, run_queries, skip_strokes
 from .report import REPORT_NAME, Report, StrokeReport, add_option_hint, format_lost_note
 from .session import GatheredJobs, Session, StrokeJob, gather_jobs
-from .synthesise import CACHE_FOLDER_NAME, BakedStroke, bake_strokes, record_time, synthesise_stroke
+from .synthesise import CACHE_FOLDER_NAME, bake_strokes, record_time, synthesise_stroke
 
 
 def print_summary(report: Report, request: TouchRequest) -> int:

@@ -263,6 +263,12 @@ class StrokeJob:
     stroke: SceneStroke | None = None
 
     @property
+    def object_names(self) -> tuple[str, ...]:
+        """Names of all objects that it touches, its own surface first."""
+        crossed = () if self.stroke is None else self.stroke.crossed
+        return (self.object_name, *(each.name for each in crossed))
+
+    @property
     def key(self) -> str:
         """Hash of all inputs of the stroke's signal."""
         return self.inputs.key
@@ -516,7 +522,10 @@ class Session:
         """Make the job of a stroke object that exists in the scene."""
         stroke = self.read_stroke(curve)
         seed = self.choose_seed(stroke.seed)
-        inputs = self._hash_inputs(stroke.object_name, stroke.material, hash_path(stroke), hash_touch(stroke, seed))
+        path, touch = hash_path(stroke), hash_touch(stroke, seed)
+        inputs = self._hash_inputs(stroke.object_name, stroke.material, path, touch)
+        for crossed in stroke.crossed:
+            inputs = _join_inputs(inputs, self._hash_inputs(crossed.name, stroke.material, path, touch))
         return StrokeJob(stroke.name, stroke.object_name, inputs, seed, curve_name=stroke.name, stroke=stroke)
 
     def make_placement_job(self, name: str, target: Target, primitive: Primitive) -> StrokeJob:
@@ -560,6 +569,17 @@ class Session:
             touch=touch,
             names=content_hash(*clues),
         )
+
+
+def _join_inputs(first: InputHashes, other: InputHashes) -> InputHashes:
+    """Join the inputs of one stroke on two objects; what is no matter of an object stays."""
+    shared = {TOUCH_FIELD, PATH_FIELD, "made_by", "scale"}
+    joined = {
+        each.name: content_hash(getattr(first, each.name), getattr(other, each.name))
+        for each in fields(InputHashes)
+        if each.name not in shared
+    }
+    return replace(first, **joined)
 
 
 def make_scene_session(scene: Any, view_layer: Any, folder: Path) -> Session:
@@ -650,8 +670,9 @@ def gather_curve_jobs(session: Session, curves: Iterable[Any]) -> GatheredJobs:
 def add_scene_notes(session: Session, gathered: GatheredJobs) -> None:
     """Add notes on objects that no stroke touches, and warnings about surfaces of implausible size."""
     gathered.notes += [*session.get_unused_errors(gathered.failed), *session.scene.get(IMPORT_NOTES, "").splitlines()]
-    gathered.skipped += list(_iter_skipped(session, {job.object_name for job in gathered.jobs}))
-    for name in dict.fromkeys(job.object_name for job in gathered.jobs):
+    touched = dict.fromkeys(name for job in gathered.jobs for name in job.object_names)
+    gathered.skipped += list(_iter_skipped(session, set(touched)))
+    for name in touched:
         obj = find_object(session.scene, name)
         warning = get_size_warning(obj, session.metres_per_unit)
         gathered.notes += [*([warning] if warning else []), *session.get_splat_notes(obj)]

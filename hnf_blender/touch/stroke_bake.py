@@ -28,7 +28,8 @@ from ..bridge.stroke.read_stroke import PathTrace, trace_path
 if TYPE_CHECKING:
     from hnf_core.field.field import Field
 
-    from .synthesise import BakedStroke, SynthesisedStroke
+    from .baked_stroke import BakedStroke
+    from .synthesise import SynthesisedStroke
 
 BAKE_PROPERTY = "hnf_bake"
 """ID property of the stroke's curve object."""
@@ -137,6 +138,8 @@ class StrokeBake:
         if profile is not None:
             scale = (profile.step_m, profile.origin_m, profile.resolved_wavelength_m)
             arrays |= {"profile_scale": np.array(scale), "profile": _split_byte_planes(profile.height)}
+            if profile.seam is not None:
+                arrays["seam"] = _split_byte_planes(profile.seam)
         arrays |= _pack_fields(self.stroke)
         if self.path is not None:  # Second differences of a smooth motion are small numbers, which compress well.
             start = np.zeros((2, self.path.steps.shape[1]), dtype=np.int32)
@@ -267,7 +270,8 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
     profile = None
     if "profile" in arrays:
         step, origin, resolved = (float(value) for value in arrays["profile_scale"])
-        profile = HeightProfile(step, origin, _join_byte_planes(arrays["profile"]), resolved)
+        seam = _join_byte_planes(arrays["seam"]) if "seam" in arrays else None
+        profile = HeightProfile(step, origin, _join_byte_planes(arrays["profile"]), resolved, seam)
     mechanics = tuple(
         Mechanics(*(None if np.isnan(value) else float(value) for value in row)) for row in arrays["mechanics"]
     )

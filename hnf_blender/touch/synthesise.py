@@ -11,7 +11,7 @@ import contextlib
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
 from hnf_core.action.contacts import Contacts, action_from_contacts, find_contacts, plan_patches, require_contact
+from hnf_core.action.crossing import choose_objects, find_seams, join_contacts, move_contacts, move_patch
 from hnf_core.errors import HnfError
 from hnf_core.field.field import Field
-from hnf_core.field.height_profile import build_stroke_profile
+from hnf_core.field.height_profile import add_seams, build_stroke_profile
 from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.synthesis import synthesise_by_field
 from hnf_core.material.fuse import (
     BAND_COUNT,
     LOUD_ESTIMATE_M_S2,
     LOUDEST_M_S2,
-    FusedToken,
     estimate_loudness,
     format_routes,
 )
@@ -53,13 +53,12 @@ from .bake_patches import (
     get_shader_token,
     is_too_coarse,
 )
+from .baked_stroke import BakedStroke, find_tallest
 from .material_choice import (
     TOO_LOUD_DOUBT,
     MaterialRequest,
     SlotMaterial,
     find_chosen_material,
-    format_doubt_note,
-    format_guess_note,
     format_likely,
     format_own_relief_note,
     fuse_record,
@@ -67,14 +66,10 @@ from .material_choice import (
     settle_slot,
 )
 from .patch_cache import PatchRecord
-from .report import Counts, Failed, Report, format_lost_note
+from .report import Counts, Failed, Report
 from .session import Session, StrokeJob
 
-USUAL_HEIGHT_RANGE_M = (0.5e-6, 2e-3)
-"""Usual peak-to-peak heights of a relief [m]; others are probably a mistake, or a bump made for its look."""
-_BUMP_REMEDY = "the Distance, Strength or Scale of its bump"
-_MESH_REMEDY = "the object's own ridges and modifiers, the Distance, Strength or Scale of a bump"
-FACT_NAMES = ("object", "material", "library_material", "routes", "height_source")
+FACT_NAMES = ("object", "objects", "material", "library_material", "routes", "height_source")
 """Names of the facts that `get_signal_facts` returns, in the order in which files list them."""
 DOUBTED_FACT = "height_doubted"
 """Name of the fact with the Blender materials, one a line, whose relief has the height of the library material."""
@@ -82,144 +77,6 @@ LIKELY_FACT = "likely"
 """Name of the fact with what the main material could be, where one alone is not felt."""
 MECHANICAL_PROPERTY_COUNT = 3
 """Number of mechanical properties: stiffness, damping, friction."""
-
-
-@dataclass(frozen=True)
-class BakedStroke:
-    """A stroke with everything the field (haptic network) needs; nothing is synthesized yet.
-
-    Attributes
-    ----------
-    stroke : SceneStroke
-    touched : TouchedObject
-    contacts : Contacts
-    patches : tuple of Patch
-    patch_index : (n,) int32 array
-        Patch of each action sample, −1 off the surface.
-    records, fused : tuple
-        PatchRecord and FusedToken of each patch.
-    materials : tuple of SlotMaterial
-        Material of each patch: of its slot, or of a reconstruction its own.
-    skip_reasons : tuple of str
-        Reasons why no relief was predicted from unlit images.
-    authored_heights_m : Mapping[int, float]
-        Largest height of each slot's relief from top to bottom, as its shader gives it [m].
-    alternative : BakedStroke or None
-        The same with the other heights, those of the library if these are the relief's own, and the reverse, if another
-        force may decide otherwise.
-    """
-
-    stroke: SceneStroke
-    touched: TouchedObject
-    contacts: Contacts
-    patches: tuple[Patch, ...]
-    patch_index: NDArray[np.int32]
-    records: tuple[PatchRecord, ...]
-    fused: tuple[FusedToken, ...]
-    materials: tuple[SlotMaterial, ...]
-    skip_reasons: tuple[str, ...] = ()
-    authored_heights_m: Mapping[int, float] = field(default_factory=dict)
-    alternative: BakedStroke | None = None
-
-    @property
-    def main_patch(self) -> int:
-        """Index of the patch that most action samples touch."""
-        return int(np.bincount(self.patch_index[self.patch_index >= 0]).argmax())
-
-    @property
-    def main_material(self) -> SlotMaterial:
-        """Library material of the patch that most action samples touch."""
-        return self.materials[self.main_patch]
-
-    @property
-    def touched_materials(self) -> list[SlotMaterial]:
-        """Every touched material, in the order in which the stroke meets them."""
-        met = [self.materials[index] for index in dict.fromkeys(self.patch_index[self.patch_index >= 0].tolist())]
-        return list({(material.shader, material.library.name): material for material in met}.values())
-
-    @property
-    def off_surface(self) -> float:
-        """Fraction of the stroke's time that it presses beside its surface."""
-        return float(np.mean(~self.contacts.on_surface & (self.contacts.force > 0.0)))
-
-    @property
-    def main_routes(self) -> tuple[Route, ...]:
-        """Route of each wavelength band of that patch; learned for a material that has a field of its own."""
-        routes = tuple(self.fused[self.main_patch].routes)
-        return routes if self.main_material.field is None else (Route.LEARNED,) * len(routes)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks for the user, each once."""
-        notes = list(self.stroke.notes) + list(self.touched.surface.notes)
-        for record in self.records:
-            notes += record.notes
-        notes += [*self._relief_notes(), *self._learned_notes(), *self._guess_notes(), *self.skip_reasons]
-        off_fraction = float(np.mean(~self.contacts.on_surface))
-        if lost := format_lost_note(self.stroke.name, self.stroke.object_name, self.off_surface):
-            notes.append(lost)
-        elif off_fraction > 0.0:
-            notes.append(
-                f"stroke '{self.stroke.name}': {off_fraction:.0%} of its time it is off the surface and silent."
-            )
-        if not self.contacts.uv_known[self.contacts.on_surface].all():
-            notes.append(
-                f"object '{self.stroke.object_name}' has no usable UVs under stroke '{self.stroke.name}': directions "
-                "are counted from the object's own axes."
-            )
-        return tuple(dict.fromkeys(notes))
-
-    @property
-    def doubt_notes(self) -> tuple[str, ...]:
-        """One note per material whose relief has the height of the library material."""
-        return tuple(
-            format_doubt_note(material, self.stroke.object_name, self.authored_heights_m.get(slot, height), height)
-            for slot, height in _find_tallest(self.patches, self.records).items()
-            if (material := self._get_slot_material(slot)).doubt
-        )
-
-    def _get_slot_material(self, slot: int) -> SlotMaterial:
-        return next(each for patch, each in zip(self.patches, self.materials, strict=True) if patch.slot == slot)
-
-    def _guess_notes(self) -> list[str]:
-        # Of patches that are taken for the same material, the least certain one speaks.
-        by_name = {
-            (each.shader, each.library.name): each for each in sorted(self.materials, key=lambda each: -each.confidence)
-        }
-        notes = (format_guess_note(material, self.stroke.object_name) for material in by_name.values())
-        return [note for note in notes if note]
-
-    def _learned_notes(self) -> list[str]:
-        return [
-            f"material '{material.shader}' was learned ({material.field.metadata.get('licence', '')}): "
-            "its shader's relief is not felt on top of it."
-            for material in self.materials
-            if material.field is not None
-        ]
-
-    def _relief_notes(self) -> list[str]:
-        """Return one note per material whose relief is unusually high or low, about its tallest patch."""
-        tallest: dict[str, float] = {}
-        for slot, height in _find_tallest(self.patches, self.records).items():
-            shader, doubt = self._get_slot_material(slot).shader, self._get_slot_material(slot).doubt
-            if not doubt:
-                tallest[shader] = max(tallest.get(shader, 0.0), height)
-        modelled = {
-            material.shader
-            for material, record in zip(self.materials, self.records, strict=True)
-            if any(record.mesh_bands)
-        }
-        made_by = {shader: _BUMP_REMEDY if shader not in modelled else _MESH_REMEDY for shader in tallest}
-        return [
-            *self.doubt_notes,
-            *(
-                f"material '{shader}': its relief is {height * 1e3:.3g} mm from top to bottom; "
-                f"{USUAL_HEIGHT_RANGE_M[0] * 1e3:g}–{USUAL_HEIGHT_RANGE_M[1] * 1e3:g} mm is usual. Check "
-                f"{made_by[shader]}, and the scene's unit scale."
-                for shader, height in tallest.items()
-                if height > 0.0 and not USUAL_HEIGHT_RANGE_M[0] <= height <= USUAL_HEIGHT_RANGE_M[1]
-            ),
-        ]
 
 
 @dataclass(frozen=True)
@@ -257,6 +114,7 @@ def bake_stroke(
     predictor: ReliefPredictor,
     progress: ProgressCallback = ignore_progress,
     doubt: str = "",
+    crossed: Sequence[tuple[TouchedObject, Mapping[int | None, str | MaterialFile]]] = (),
 ) -> BakedStroke:
     """Bake one stroke: find its contacts, render its patches, and choose materials and tokens.
 
@@ -278,6 +136,8 @@ def bake_stroke(
         Called after each patch.
     doubt : str, optional
         Reason to doubt the height of every relief.
+    crossed : sequence of (TouchedObject, Mapping), optional
+        The objects of `stroke.crossed`, each with its choices.
 
     Returns
     -------
@@ -291,15 +151,80 @@ def bake_stroke(
         If a chosen material does not exist; raised before anything is rendered.
     """
     where = f"stroke '{stroke.name}'"
-    contacts = find_contacts(stroke.samples, stroke.get_surface(touched.surface.mesh), where=where)
-    counts.add("rays", len(stroke.samples.time))
+    objects = [(touched, choices), *crossed]
+    parts, contacts = _find_parts(stroke, [each for each, _ in objects], counts, where)
+    requests = [MaterialRequest(each, stroke.material, where) for _, each in objects]
+    chosen = [
+        {
+            slot
+            for slot in dict.fromkeys(patch.slot for patch in patches)
+            if find_chosen_material(each, slot, request) is not None
+        }
+        for (each, _), (patches, _), request in zip(objects, parts, requests, strict=True)
+    ]
+    baked = BakedStroke(
+        stroke, touched, contacts, (), np.full(len(stroke.samples.time), -1, dtype=np.int32), (), (), (),
+        others=tuple(each for each, _ in crossed),
+    )  # fmt: skip
+    for number, ((each, _), (patches, index)) in enumerate(zip(objects, parts, strict=True)):
+        if patches:
+            nested = nest_progress(progress, CLOSEUP_STAGE, number, len(objects)) if crossed else progress
+            records = bake_patches(each, patches, folder, counts, predictor, chosen[number], nested)
+            part = _settle_part(each, patches, records, requests[number], chosen[number], predictor, doubt)
+            baked = _add_part(baked, part, index, number)
+    return baked
+
+
+def _find_parts(
+    stroke: SceneStroke, objects: Sequence[TouchedObject], counts: Counts, where: str
+) -> tuple[list[tuple[tuple[Patch, ...], NDArray[np.int32]]], Contacts]:
+    """Return the patches of a stroke on each object with the patch of each sample, and the joined contacts.
+
+    Patches are in the frame of their object, contacts in that of the first. Raises StrokeError if none is touched.
+    """
+    found = [find_contacts(stroke.samples, stroke.get_surface(objects[0].surface.mesh), where=where)]
+    for crossed, each in zip(stroke.crossed, objects[1:], strict=True):
+        found.append(find_contacts(crossed.move_samples(stroke.samples), each.surface.mesh, where=where))
+    counts.add("rays", len(stroke.samples.time) * len(found))
+    if len(found) == 1:
+        require_contact(found[0], where=where, surface=stroke.object_name)
+        return [plan_patches(found[0])], found[0]
+    owner = choose_objects(np.stack([contacts.distance for contacts in found]))
+    contacts = join_contacts(
+        [
+            found[0],
+            *(move_contacts(each, crossed.frame) for crossed, each in zip(stroke.crossed, found[1:], strict=True)),
+        ],
+        owner,
+    )
     require_contact(contacts, where=where, surface=stroke.object_name)
-    patches, patch_index = plan_patches(contacts)
-    slots = dict.fromkeys(patch.slot for patch in patches)
-    request = MaterialRequest(choices, stroke.material, where)
-    chosen_slots = {slot for slot in slots if find_chosen_material(touched, slot, request) is not None}
-    records = bake_patches(touched, patches, folder, counts, predictor, chosen_slots, progress)
-    authored_heights_m = _find_tallest(patches, records)
+    parts = [
+        plan_patches(replace(each, on_surface=each.on_surface & (owner == number))) for number, each in enumerate(found)
+    ]
+    return parts, contacts
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Results of a stroke's bake on one object, for each of its patches, and why no relief was predicted."""
+
+    patches: tuple[Patch, ...]
+    records: tuple[PatchRecord, ...]
+    materials: tuple[SlotMaterial, ...]
+    skip_reasons: set[str]
+    authored: tuple[PatchRecord, ...]
+
+
+def _settle_part(
+    touched: TouchedObject,
+    patches: tuple[Patch, ...],
+    records: tuple[PatchRecord, ...],
+    request: MaterialRequest,
+    chosen_slots: set[int],
+    predictor: ReliefPredictor,
+    doubt: str,
+) -> _Part:
+    """Decide the materials of an object's patches and the heights of their relief."""
     material_by_patch: dict[int, SlotMaterial] = {}
     settled = list(records)
     for slot, indices in _group_patches(touched, patches):
@@ -308,21 +233,37 @@ def bake_stroke(
         )
         for index, record in zip(indices, part_records, strict=True):
             material_by_patch[index], settled[index] = material, record
-    materials, records = tuple(material_by_patch[index] for index in range(len(patches))), tuple(settled)
-    fused = tuple(fuse_record(record, material) for record, material in zip(records, materials, strict=True))
     skip_reasons = {
         f"material '{get_shader_name(touched, slot)}': {predictor.missing_reason or explain_skipped(unlit)}."
-        for slot in slots.keys() - chosen_slots
+        for slot in {patch.slot for patch in patches} - chosen_slots
         for unlit in _select_skipped_images(
             record.unlit
-            for patch, record in zip(patches, records, strict=True)
+            for patch, record in zip(patches, settled, strict=True)
             if patch.slot == slot and record.unlit is not None and record.predicted is None
         )
     }
-    return BakedStroke(
-        stroke, touched, contacts, patches, patch_index, records, fused, materials, tuple(sorted(skip_reasons)),
-        authored_heights_m,
-    )  # fmt: skip
+    materials = tuple(material_by_patch[index] for index in range(len(patches)))
+    return _Part(patches, tuple(settled), materials, skip_reasons, records)
+
+
+def _add_part(baked: BakedStroke, part: _Part, index: NDArray[np.int32], number: int) -> BakedStroke:
+    """Return a baked stroke with its part on one more object, the `number`-th; `index` (n,) is that of its patches."""
+    patches, crossed = part.patches, baked.stroke.crossed
+    if number:
+        patches = tuple(move_patch(patch, crossed[number - 1].frame) for patch in patches)
+    heights = find_tallest([(number, patch.slot) for patch in patches], part.authored)
+    return replace(
+        baked,
+        patches=baked.patches + patches,
+        patch_index=np.where(index >= 0, index + np.int32(len(baked.patches)), baked.patch_index).astype(np.int32),
+        records=baked.records + part.records,
+        fused=baked.fused
+        + tuple(fuse_record(record, each) for record, each in zip(part.records, part.materials, strict=True)),
+        materials=baked.materials + part.materials,
+        skip_reasons=tuple(sorted({*baked.skip_reasons, *part.skip_reasons})),
+        authored_heights_m={**baked.authored_heights_m, **heights},
+        owners=baked.owners + (number,) * len(patches) if crossed else (),
+    )
 
 
 def _group_patches(touched: TouchedObject, patches: Sequence[Patch]) -> list[tuple[int, list[int]]]:
@@ -334,14 +275,6 @@ def _group_patches(touched: TouchedObject, patches: Sequence[Patch]) -> list[tup
     for index, patch in enumerate(patches):
         groups.setdefault((patch.slot, index if touched.uses_splats(patch.slot) else -1), []).append(index)
     return [(slot, indices) for (slot, _), indices in groups.items()]
-
-
-def _find_tallest(patches: Sequence[Patch], records: Sequence[PatchRecord]) -> dict[int, float]:
-    """Return slot → largest height from top to bottom of its patches [m]."""
-    tallest: dict[int, float] = {}
-    for patch, record in zip(patches, records, strict=True):
-        tallest[patch.slot] = max(tallest.get(patch.slot, 0.0), record.height_peak_to_peak_m)
-    return tallest
 
 
 def may_be_loud(baked: BakedStroke) -> bool:
@@ -403,9 +336,12 @@ def make_stroke_input(baked: BakedStroke) -> StrokeInput:
     profile = build_stroke_profile(
         action.position, baked.contacts.point, baked.patch_index, baked.patches, baked.records
     )
+    if baked.owners:
+        profile = add_seams(profile, find_seams(baked.contacts, baked.sample_owners), action.position)
     if profile is not None:
         # Its maps are float32: more digits are meaningless, and would double the size of a stored stroke.
-        profile = replace(profile, height=profile.height.astype(np.float32).astype(np.float64))
+        seam = None if profile.seam is None else _round_to_float32(profile.seam)
+        profile = replace(profile, height=_round_to_float32(profile.height), seam=seam)
     fields = tuple(material.field for material in baked.materials)
     return StrokeInput(
         action=action,
@@ -415,6 +351,10 @@ def make_stroke_input(baked: BakedStroke) -> StrokeInput:
         profile=profile,
         fields=() if all(field is None for field in fields) else fields,
     )
+
+
+def _round_to_float32(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return values.astype(np.float32).astype(np.float64)
 
 
 def compute_known_shares(baked: BakedStroke) -> NDArray[np.float64]:
@@ -443,8 +383,10 @@ def get_signal_facts(baked: BakedStroke) -> dict[str, str]:
     """Return the provenance of a signal, apart from the stroke's name and the confidence."""
     patch = baked.main_patch
     doubted = "\n".join(dict.fromkeys(entry.shader for entry in baked.materials if entry.doubt))
+    touched = [baked.object_names[number] for number in dict.fromkeys(baked.sample_owners.tolist()) if number >= 0]
     return {
         "object": baked.stroke.object_name,
+        **({"objects": ", ".join(touched)} if len(touched) > 1 else {}),
         "material": baked.main_material.shader,
         "library_material": ", ".join(dict.fromkeys(entry.library.name for entry in baked.materials)),
         "routes": format_routes(baked.main_routes, baked.records[patch].mesh_bands),
@@ -560,32 +502,42 @@ def _bake_job(
         stroke = session.read_stroke(curve)
     touched = session.get_touched_object(find_object(session.scene, stroke.object_name))
     choices = session.get_choices(stroke.object_name)
-    baked = bake_stroke(stroke, touched, choices, cache, report.counts, session.predictor, progress)
-    if not all(touched.heights_as_authored) and may_be_loud(baked):
+    crossed = [
+        (session.get_touched_object(find_object(session.scene, each.name)), session.get_choices(each.name))
+        for each in stroke.crossed
+    ]
+    baked = bake_stroke(stroke, touched, choices, cache, report.counts, session.predictor, progress, crossed=crossed)
+    authored = [insists for each in baked.objects for insists in each.heights_as_authored]
+    if not all(authored) and may_be_loud(baked):
         loud = is_loud(baked, session.field, job.seed)
         if loud or with_alternatives:
             other = bake_stroke(
-                stroke, touched, choices, cache, report.counts, session.predictor, progress, doubt=TOO_LOUD_DOUBT
-            )
+                stroke, touched, choices, cache, report.counts, session.predictor, progress, doubt=TOO_LOUD_DOUBT,
+                crossed=crossed,
+            )  # fmt: skip
             baked, other = (other, baked) if loud else (baked, other)
             baked = replace(baked, alternative=other if with_alternatives else None)
-    for note in (*_describe_own_reliefs(baked, choices), *baked.notes):
+    all_choices = {name: session.get_choices(name) for name in baked.object_names}
+    for note in (*_describe_own_reliefs(baked, all_choices), *baked.notes):
         report.add_warning(note)
     return baked
 
 
-def _describe_own_reliefs(baked: BakedStroke, choices: Mapping[int | None, str | MaterialFile]) -> list[str]:
-    """Return a note on each slot where a material was given on the command line and the shader's relief is felt."""
-    felt = {
-        patch.slot
-        for patch, record, fused in zip(baked.patches, baked.records, baked.fused, strict=True)
-        if get_shader_token(record) is not None and Route.MEASURED in fused.routes
-    }
+def _describe_own_reliefs(
+    baked: BakedStroke, choices: Mapping[str, Mapping[int | None, str | MaterialFile]]
+) -> list[str]:
+    """Return a note on each slot where a material was given on the command line and the shader's relief is felt.
+
+    `choices` are those of each object by its name.
+    """
     notes = []
-    for slot in dict.fromkeys(patch.slot for patch in baked.patches):
-        choice = choices.get(slot) or choices.get(None)
-        if slot in felt and choice and not (isinstance(choice, MaterialFile) and choice.field):
+    for index, (patch, record, fused) in enumerate(zip(baked.patches, baked.records, baked.fused, strict=True)):
+        owner = baked.get_owner(index)
+        name = baked.object_names[owner]
+        choice = choices[name].get(patch.slot) or choices[name].get(None)
+        if get_shader_token(record) is None or Route.MEASURED not in fused.routes:
+            continue
+        if choice and not (isinstance(choice, MaterialFile) and choice.field):
             library = choice.name if isinstance(choice, MaterialFile) else choice
-            shader = get_shader_name(baked.touched, slot)
-            notes.append(format_own_relief_note(shader, baked.stroke.object_name, library))
-    return notes
+            notes.append(format_own_relief_note(get_shader_name(baked.objects[owner], patch.slot), name, library))
+    return list(dict.fromkeys(notes))

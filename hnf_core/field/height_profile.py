@@ -12,7 +12,7 @@ otherwise be taken for texture.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +30,7 @@ from .linear_contact import (
 from .stroke import HeightProfile
 
 if TYPE_CHECKING:
+    from ..action.crossing import Seam
     from ..scene.camera import Patch
     from ..tactile.tactile_map import HeightMap
 
@@ -65,7 +66,8 @@ class ExplainedPower:
 def compute_profile_power(profile: HeightProfile, carriers: Carriers) -> Float:
     """Compute the height power (Ka,) of a profile per arc band [m²], without single events such as seams.
 
-    The straight line through its ends counts for nothing, and neither do waves that the profile does not resolve.
+    The straight line through its ends counts for nothing, and neither do waves that the profile does not resolve, nor
+    seams between objects.
     """
     finest = find_finest(profile)
     edges, power = carriers.arc_edges(), np.zeros(carriers.arc_count)
@@ -73,7 +75,8 @@ def compute_profile_power(profile: HeightProfile, carriers: Carriers) -> Float:
     if octaves == 0 or (len(profile.height) - 1) * profile.step_m < 4.0 * carriers.arc_step_m(octaves - 1):
         return power  # Shorter than four samples of the finest octave.
     count = len(profile.height)
-    height = profile.height - np.linspace(profile.height[0], profile.height[-1], count)
+    texture = profile.height if profile.seam is None else profile.height - profile.seam
+    height = texture - np.linspace(texture[0], texture[-1], count)
     # Padding for the ringing of the narrowest band, so that one end does not wrap around to the other.
     size = 1 << int(np.ceil(np.log2(count + 0.02 / profile.step_m)))
     kappa = np.fft.rfftfreq(size, profile.step_m)
@@ -225,6 +228,10 @@ MIN_STEP_M, MAX_STEP_M = 20e-6, 0.5e-3
 MAX_SAMPLES = 2**23
 """Largest number of samples: 168 m at the finest step, 1.3 km at that of a usual map. The bands take 200 bytes a
 sample."""
+SEAM_RADIUS_M = 0.5e-3
+"""Radius with which an edge is climbed [m]: that of the pen's tip. What a larger tip smooths, the contact smooths."""
+SEAM_GRID_M, SEAM_WAVELENGTH_M = 25e-6, 0.1e-3
+"""Step of a profile of seams alone, and the wavelength that it resolves [m]."""
 
 
 def build_stroke_profile(
@@ -320,3 +327,41 @@ def _smooth_indicator(indicator: Float, length: float) -> Float:
     kernel = 1.0 + np.cos(np.pi * np.arange(-half, half + 1) / (half + 1))
     padded = np.pad(indicator, half, mode="edge")
     return np.convolve(padded, kernel / kernel.sum(), mode="valid")
+
+
+def add_seams(profile: HeightProfile | None, seams: Sequence[Seam], position: Float) -> HeightProfile | None:
+    """Add the steps at seams to the height under a path.
+
+    Parameters
+    ----------
+    profile : HeightProfile or None
+        Measured height; None if there is none, and the path is level but for its seams.
+    seams : sequence of Seam
+        The seams.
+    position : ndarray, shape (n,)
+        Positions of the path's samples [m].
+
+    Returns
+    -------
+    HeightProfile or None
+        With the steps as its `seam`; unchanged without seams.
+
+    Notes
+    -----
+    A tip of radius R that is pushed over an edge of height h begins to climb √(2 R h) before it. The step is as wide to
+    either side.
+    """
+    if not seams:
+        return profile
+    if profile is None:
+        start, end = float(position.min()), float(position.max())
+        step = max(SEAM_GRID_M, (end - start) / (MAX_SAMPLES - 1))
+        count = int(np.ceil((end - start) / step)) + 1
+        profile = HeightProfile(step, start, np.zeros(count), SEAM_WAVELENGTH_M)
+    place = profile.origin_m + profile.step_m * np.arange(len(profile.height))
+    steps = np.zeros(len(place))
+    for seam in seams:
+        reach = max(float(np.sqrt(2.0 * SEAM_RADIUS_M * abs(seam.step_m))), 2.0 * profile.step_m)
+        way = np.clip((place - seam.position_m) / (2.0 * reach) + 0.5, 0.0, 1.0)
+        steps += seam.step_m * np.square(way) * (3.0 - 2.0 * way)
+    return replace(profile, height=profile.height + steps, seam=steps)

@@ -62,12 +62,15 @@ class HeightProfile:
     resolved_wavelength_m
         Two texels of the source: shorter waves in it are an artefact, and are synthesised by the noise carriers
         instead.
+    seam
+        (k,) float64 part of the height that is steps between objects, and no texture [m]; None without any.
     """
 
     step_m: float
     origin_m: float
     height: NDArray[np.float64]
     resolved_wavelength_m: float
+    seam: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

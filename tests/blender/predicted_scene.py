@@ -13,9 +13,10 @@ from builders import add_plane, float_image
 from closeup_builders import principled
 
 from hnf_blender.touch import bake_patches
+from hnf_blender.touch.baked_stroke import BakedStroke
 from hnf_blender.touch.report import Report
 from hnf_blender.touch.session import StrokeJob, gather_jobs, make_scene_session
-from hnf_blender.touch.synthesise import BakedStroke, bake_strokes
+from hnf_blender.touch.synthesise import bake_strokes
 from hnf_core.material.token import TOKEN_DIM
 from hnf_core.tactile.diffusion.unet import TOKEN_ERROR, MapConfig, save_map_weights
 

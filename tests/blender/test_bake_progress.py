@@ -10,9 +10,10 @@ import pytest
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.touch import synthesise
+from hnf_blender.touch.baked_stroke import BakedStroke
 from hnf_blender.touch.report import Report
 from hnf_blender.touch.session import StrokeJob, gather_jobs, make_scene_session
-from hnf_blender.touch.synthesise import BakedStroke, bake_strokes
+from hnf_blender.touch.synthesise import bake_strokes
 from hnf_core.progress import Cancelled, Progress, ProgressBar
 from hnf_core.touch_request import TouchQuery
 
@@ -68,10 +69,10 @@ def test_a_cancelled_bake_keeps_what_is_finished(tmp_path, three_strokes) -> Non
 def test_an_internal_error_in_one_stroke_spares_the_others(tmp_path, three_strokes, monkeypatch) -> None:
     bake_stroke = synthesise.bake_stroke
 
-    def fail_second(stroke, *arguments):
+    def fail_second(stroke, *arguments, **keywords):
         if stroke.name == "B":
             raise ZeroDivisionError
-        return bake_stroke(stroke, *arguments)
+        return bake_stroke(stroke, *arguments, **keywords)
 
     monkeypatch.setattr(synthesise, "bake_stroke", fail_second)
     states: list[Progress] = []

@@ -7,14 +7,15 @@ the surface, for drawing in the viewport and for fitting one stroke's force to a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import ACTION_RATE_HZ
-from hnf_core.action.contacts import DeformingMesh, StrokeSamples, find_nearest_on_triangles
+from hnf_core.action.contacts import CONTACT_TOLERANCE_M, DeformingMesh, StrokeSamples, find_nearest_on_triangles
+from hnf_core.action.crossing import choose_objects
 from hnf_core.action.curves import (
     ArcCurve,
     PiecewiseBezier,
@@ -47,6 +48,7 @@ from ..scene.meshes import Surface, compute_surface_frame, evaluated_mesh, read_
 from ..scene.object_size import get_world_boxes, is_visible
 from ..scene.scene_names import get_scene_name
 from ..scene.touchable import list_surfaces
+from ..splats.splat_cloud import is_cloud
 from .animation import (
     Channel,
     is_moving,
@@ -229,6 +231,29 @@ HASH_STEP, HASH_OFFSET = 1e-7, 0.381966
 
 
 @dataclass(frozen=True)
+class CrossedObject:
+    """Another object that a stroke touches besides its own.
+
+    Attributes
+    ----------
+    name : str
+        Name of the object, as `get_scene_name` gives it.
+    frame : (4, 4) array
+        Rigid transform from its surface frame to that of the stroke's own object [m].
+    """
+
+    name: str
+    frame: Float
+
+    def move_samples(self, samples: StrokeSamples) -> StrokeSamples:
+        """Return samples in the frame of the stroke's own object in that of this one."""
+        rotation = self.frame[:3, :3]
+        return replace(
+            samples, point=(samples.point - self.frame[:3, 3]) @ rotation, tangent=samples.tangent @ rotation
+        )
+
+
+@dataclass(frozen=True)
 class SceneStroke:
     """One stroke, read from the scene: a curve on a surface with its motion and force.
 
@@ -254,6 +279,8 @@ class SceneStroke:
         Remarks for the user.
     rounding_m : float
         Error of the points by the float32 matrices of the curve and the surface [m].
+    crossed : tuple of CrossedObject
+        Other objects that it touches, where no surface was chosen for it.
     """
 
     name: str
@@ -268,6 +295,7 @@ class SceneStroke:
     material: str
     notes: tuple[str, ...] = ()
     rounding_m: float = 0.0
+    crossed: tuple[CrossedObject, ...] = ()
 
     def get_surface(self, mesh: TriangleMesh) -> TriangleMesh | DeformingMesh:
         """Return the surface's shapes over time if it deforms, else `mesh`: the surface on which contacts are found."""
@@ -369,7 +397,56 @@ def read_stroke(
         material=str(group.material),
         notes=notes,
         rounding_m=_estimate_rounding(obj, target, depsgraph, arc.length, metres_per_unit),
+        crossed=()
+        if group.surface is not None or moving or deforming is not None
+        else _find_crossed_objects(samples, obj, target, scene, depsgraph, surfaces, metres_per_unit),
     )
+
+
+def _find_crossed_objects(
+    samples: StrokeSamples,
+    obj: Any,
+    target: Any,
+    scene: Any,
+    depsgraph: Any,
+    surfaces: SurfaceGetter,
+    metres_per_unit: float,
+) -> tuple[CrossedObject, ...]:
+    """Return the objects that a stroke presses on where its own, `target`, does not lie under it, sorted by name.
+
+    Only objects that neither move nor deform count. Triangles are read of those alone whose box is in reach.
+    """
+    pressed = samples.point[samples.force > 0.0]
+    others = [other for other in list_surfaces(scene, depsgraph.view_layer, obj) if other != target]
+    if not others or not len(pressed):
+        return ()
+    rigid, _ = compute_surface_frame(target.evaluated_get(depsgraph).matrix_world, metres_per_unit)
+    world = pressed @ rigid[:3, :3].T + rigid[:3, 3]
+    low, high = get_world_boxes(others, depsgraph, metres_per_unit)
+    low, high = low - CONTACT_TOLERANCE_M, high + CONTACT_TOLERANCE_M
+    names, frames, distances = [], [], []
+    for k in np.flatnonzero((low <= world.max(axis=0)).all(axis=1) & (high >= world.min(axis=0)).all(axis=1)):
+        near = ((world >= low[k]) & (world <= high[k])).all(axis=1)
+        if not near.any() or is_cloud(others[k]):
+            continue
+        try:
+            if is_moving(others[k]) or may_deform(others[k]):
+                continue
+            surface = surfaces(others[k])
+        except SceneError:
+            continue  # simulated, without faces, or with a frame that cannot be used
+        local = (world[near] - surface.rigid[:3, 3]) @ surface.rigid[:3, :3]
+        distance = np.full(len(world), np.inf)
+        distance[near] = find_nearest_on_triangles(local, surface.mesh.corner_positions()).distance
+        names.append(get_scene_name(scene, others[k]))
+        frames.append(np.linalg.inv(rigid) @ surface.rigid)
+        distances.append(distance)
+    if not names:
+        return ()
+    own = find_nearest_on_triangles(pressed, surfaces(target).mesh.corner_positions()).distance
+    touched = np.unique(choose_objects(np.stack([own, *distances])))
+    found = [CrossedObject(names[k - 1], frames[k - 1]) for k in touched if k > 0]
+    return tuple(sorted(found, key=lambda each: each.name))
 
 
 ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
@@ -397,8 +474,8 @@ class PathTrace:
     Attributes
     ----------
     steps : (n, c) int32 array
-        Point in the surface frame, position along the curve, and sums over the shape of a deforming surface, at each
-        sample [PATH_STEP_M].
+        Point in the surface frame, position along the curve, point in the frames of other touched objects, and sums
+        over the shape of a deforming surface, at each sample [PATH_STEP_M].
     rounding_m : float
         See SceneStroke.
     """
@@ -420,6 +497,7 @@ def trace_path(stroke: SceneStroke) -> PathTrace:
     """Trace where a stroke is over time."""
     samples = stroke.samples
     columns = [samples.point, samples.position[:, None]]
+    columns += [crossed.move_samples(samples).point for crossed in stroke.crossed]
     if stroke.deforming is not None:
         vertices = stroke.deforming.vertices
         # Sums with weights that differ from vertex to vertex: no change of the shape leaves all of them as they are.
@@ -449,6 +527,9 @@ def hash_path(stroke: SceneStroke) -> str:
     parts = [to_quantised_bytes(array) for array in arrays]
     if stroke.deforming is not None:
         parts += [to_quantised_bytes(stroke.deforming.vertices), to_quantised_bytes(stroke.deforming.time)]
+    for crossed in stroke.crossed:
+        moved = crossed.move_samples(samples)
+        parts += [crossed.name.encode(), to_quantised_bytes(moved.point), to_quantised_bytes(moved.tangent)]
     return content_hash(str(samples.moving), *parts)
 
 

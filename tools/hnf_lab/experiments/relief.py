@@ -30,9 +30,10 @@ from numpy.typing import NDArray
 from hnf_blender import cli
 from hnf_blender.touch import run as touch_run
 from hnf_blender.touch import synthesise as touch_synthesise
+from hnf_blender.touch.baked_stroke import BakedStroke
 from hnf_blender.touch.patch_cache import PatchRecord
 from hnf_blender.touch.session import StrokeJob, gather_jobs
-from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME, BakedStroke, make_stroke_input
+from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME, make_stroke_input
 from hnf_core.errors import HnfError, SceneError
 from hnf_core.export.plots.figure import write_figure
 from hnf_core.field.synthesis import synthesise
@@ -159,7 +160,7 @@ def bake_strokes(scene: Path, out: Path) -> Iterator[tuple[StrokeJob, BakedStrok
     """Bake the default strokes of a scene by the product's own steps. Raises HnfError if nothing can be touched."""
     request = TouchRequest(scene=scene, out=out)
     cli._register_properties()
-    session = touch_run._make_session(touch_run.open_named_scene("touch", request.scene), request)
+    session, _ = touch_run._make_session(touch_run.open_named_scene("touch", request.scene), request)
     gathered = gather_jobs(session)
     report = touch_run._new_report(session, gathered, [])
     baked_strokes: list[tuple[StrokeJob, BakedStroke]] = []

@@ -36,7 +36,7 @@ from ..recordings.measure import (
 from ..recordings.spectra import Distance, average_bins_db, average_distances, compare_levels
 
 if TYPE_CHECKING:
-    from hnf_blender.touch.synthesise import BakedStroke
+    from hnf_blender.touch.baked_stroke import BakedStroke
 
 Float = NDArray[np.float64]
 
