@@ -9,6 +9,14 @@
 
 #include "hnf_protocol.h"
 
+#if UINTPTR_MAX < 0xFFFFFFFFu
+#error "The queue is shared without a lock, which needs a processor that writes 32 bits at once: no AVR."
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #ifndef HNF_CHANNELS
 #define HNF_CHANNELS 16 /* most */
 #endif
@@ -94,5 +102,9 @@ uint8_t hnf_device_state(const hnf_device *device);
 
 /* Frames that wait to be played. */
 uint32_t hnf_device_queued(const hnf_device *device);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

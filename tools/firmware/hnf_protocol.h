@@ -6,6 +6,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define HNF_VERSION 1
 #define HNF_OVERHEAD 8           /* bytes of a frame that are not payload */
 #define HNF_LARGEST_PAYLOAD 2048 /* of a frame from the host */
@@ -81,5 +85,9 @@ void hnf_decoder_feed(hnf_decoder *decoder, const uint8_t *bytes, size_t count, 
 
 /* To be called when nothing has come for 20 ms: a frame that was begun and never ended is given up. */
 void hnf_decoder_idle(hnf_decoder *decoder, hnf_handler *handle, void *context);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -41,16 +41,18 @@ def build(program: str, folder: Path) -> Path:
     made = folder / program
     sources = [FIRMWARE / "host" / f"{program}.c", *sorted(FIRMWARE.glob("hnf_*.c"))]
     order = [compiler, *STRICT, *map(str, sources), "-o", str(made)]
-    probe = folder / "probe.c"
-    probe.write_text("int main(void) { return 0; }\n", encoding="utf-8")
-    safe = subprocess.run(
-        [compiler, *SANITIZE, str(probe), "-o", str(folder / "probe")], capture_output=True, timeout=60
-    )
-    done = subprocess.run(
-        order + (SANITIZE if safe.returncode == 0 else []), capture_output=True, text=True, timeout=120
-    )
+    order += find_sanitizers(compiler, folder)
+    done = subprocess.run(order, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     return made
+
+
+def find_sanitizers(compiler: str, folder: Path) -> list[str]:
+    """The options of a compiler's sanitizers, none where it has no such."""
+    probe = folder / "probe.c"
+    probe.write_text("int main(void) { return 0; }\n", encoding="utf-8")
+    order = [compiler, *SANITIZE, str(probe), "-o", str(folder / "probe")]
+    return SANITIZE if subprocess.run(order, capture_output=True, timeout=60).returncode == 0 else []
 
 
 def credits_of(messages: list[Message]) -> list[Credit]:
