@@ -571,14 +571,20 @@ def _enable_addon(module: str, path: Path) -> None:
 
 
 def _run_operator(path: Path, operator: Callable[[], Any]) -> None:
-    """Run an import operator silently; raise FileError with its reason if it fails."""
+    """Run an import operator silently; raise FileError if it fails, in words for a person even if it broke down."""
     try:
         with suppress_output():
             result = operator()
-    except RuntimeError as error:
-        raise FileError(
-            f"Blender could not open it: {_extract_reason(str(error))}.", where=str(path), remedy="Export it again."
-        ) from error
+    except Exception as error:  # importers in Python fail in any way on a file whose parts do not fit together
+        reason = _extract_reason(str(error)) if isinstance(error, RuntimeError) else ""
+        if not reason:
+            raise FileError(
+                f"is damaged: parts of it do not fit together, and Blender's importer of {path.suffix.lower()} files "
+                "gave up on it.",
+                where=str(path),
+                remedy="Export it again, or open it in the program that made it and save it as glTF or OBJ.",
+            ) from error
+        raise FileError(f"Blender could not open it: {reason}.", where=str(path), remedy="Export it again.") from error
     if "FINISHED" not in result:
         raise FileError("Blender could not open it.", where=str(path), remedy="Export it again.")
 
@@ -598,13 +604,13 @@ def _check_import(scene: Any, path: Path) -> None:
 
 
 def _extract_reason(message: str) -> str:
-    """Return the reason from an operator's error text, which may be a complete Python traceback."""
+    """Return the reason from an operator's error text; "" if it is a Python traceback or the text of an exception."""
     lines = [line.strip() for line in message.splitlines() if line.strip() and not line.startswith("Location:")]
-    raised = [
-        line for line in lines if re.match(r"[\w.]*(Error|Exception|Interrupt)\b", line) and "Error: Python" not in line
-    ]
-    reason = (raised[-1] if "Traceback" in message and raised else lines[0] if lines else "no reason given").strip()
-    return re.sub(r"^Error:\s*", "", reason).rstrip(".")
+    if not lines:
+        return "it gives no reason"
+    reason = re.sub(r"^Error:\s*", "", lines[0]).rstrip(".")
+    broke_down = "Traceback" in message or re.match(r"Python\b|[\w.]*(Error|Exception|Interrupt)\b", reason)
+    return "" if broke_down else reason
 
 
 def _damaged_file_error(path: Path, why: str) -> FileError:

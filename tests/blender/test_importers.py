@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import struct
 import subprocess
@@ -303,6 +304,33 @@ def test_a_gltf_names_its_missing_data_and_its_damaged_data(ball_files: Path, tm
         open_scene(tmp_path / "ball.gltf")
     assert "\n" not in str(caught.value)
     assert "ball.gltf" in str(caught.value)
+
+
+BREAKING = {
+    "indices": lambda tree: tree["meshes"][0]["primitives"][0].update(indices=99),
+    "material": lambda tree: tree["meshes"][0]["primitives"][0].update(material=7),
+    "view": lambda tree: tree["accessors"][0].update(bufferView=40),
+    "node": lambda tree: tree["scenes"][0].update(nodes=[12]),
+    "type": lambda tree: tree["accessors"][0].update(type="VEC9"),
+    "child": lambda tree: tree["nodes"][0].update(children=[0]),
+    "count": lambda tree: tree["accessors"][0].update(count=10**9),
+}
+
+
+@pytest.mark.parametrize("part", BREAKING)
+def test_a_gltf_that_breaks_its_importer_is_refused_in_words(ball_files: Path, tmp_path: Path, part: str) -> None:
+    shutil.copy(ball_files / "ball.bin", tmp_path)
+    tree = json.loads((ball_files / "ball.gltf").read_text())
+    BREAKING[part](tree)
+    path = tmp_path / "broken.gltf"
+    path.write_text(json.dumps(tree))
+    with pytest.raises(HnfError) as caught:
+        open_scene(path)
+    text = str(caught.value)
+    assert text.startswith(str(path))
+    assert caught.value.remedy
+    assert "\n" not in text
+    assert not re.search(r"Error|Exception|Traceback|Python|list index|KeyError|object has no", text), text
 
 
 def test_an_importer_that_is_switched_off_is_switched_on(ball_files: Path) -> None:
