@@ -16,6 +16,7 @@ from hnf_core.progress import Progress, ProgressBar
 from .eval_alignment import add_parser as _add_alignment
 from .eval_corpus import add_parser as _add_corpus
 from .eval_formats import add_parser as _add_formats
+from .eval_fuzz import add_parser as _add_fuzz
 from .eval_photographs import add_parser as _add_photographs
 from .eval_published import add_parser as _add_published
 from .eval_recordings import add_parser as _add_recordings
@@ -25,6 +26,7 @@ SUBJECTS: tuple[Callable[[Any], object], ...] = (
     _add_alignment,
     _add_corpus,
     _add_formats,
+    _add_fuzz,
     _add_photographs,
     _add_published,
     _add_recordings,

@@ -1,0 +1,446 @@
+"""Mutate small files of every kind that is read, and see that each is read or refused in one clear line.
+
+A mutation flips bits, cuts, repeats, and puts numbers and JSON values where others stood. A reader may read what comes
+out or raise an HnfError; anything else is a fault: another exception, a hang, a message that shows an exception's text.
+Scene files are opened by Blender in a process of its own, which may die.
+"""
+
+from __future__ import annotations
+
+import copy
+import gzip
+import json
+import re
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hnf_core.action.action import read_action_csv
+from hnf_core.actuators.profile import GENERIC
+from hnf_core.actuators.profile_json import read_profile, write_profile
+from hnf_core.errors import FileError, HnfError
+from hnf_core.export.convert import import_signal
+from hnf_core.export.formats import FOREIGN_LOADERS, FORMATS, find_loader
+from hnf_core.export.options import ExportOptions, ImportOptions
+from hnf_core.material.hnf_file import from_library, read_hnf, write_hnf
+from hnf_core.material.library import get_material
+from hnf_core.material.probe import get_probe
+from hnf_core.progress import Progress, ProgressCallback, ignore_progress
+from hnf_core.scene.nerfstudio import read_transforms
+from hnf_core.scene.splats.splat_file import open_splat_file, read_validated_splats
+from hnf_core.signal import Signal
+
+MAX_READ_S = 10.0
+"""Longest time of a read [s]."""
+MAX_OPERATIONS = 6
+"""Most operations of one mutation."""
+RAW_TEXT = re.compile(
+    r"Traceback|\b[A-Z]\w*(?:Error|Exception)\b|object has no attribute|NoneType|index out of|unpack requires"
+    r"|not iterable"
+)
+"""What a message for a person does not hold."""
+VALUES: tuple[Any, ...] = (
+    None, True, "", "x", -1, 0, 1e308, -1e308, 2**63, 1e-320, [], {}, [[]], [None], {"a": 1}, "NaN", float("nan"),
+    float("inf"),
+)  # fmt: skip
+NUMBERS = (b"-1", b"0", b"1e308", b"1e-320", b"NaN", b"inf", b"99999999999999999999", b"", b"0x10", b"1,5", b"\xff")
+SCENE_KINDS = ("gltf", "glb", "obj", "ply", "stl", "usda", "usdc", "fbx")
+SCENES_PER_PROCESS = 50
+READY, ANSWER = "hnf: ready", "hnf: answer "
+"""Lines that a process prints which opens scenes: before the first, and before each answer."""
+
+Reader = Callable[[Path], object]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A mutated file that was neither read nor refused in one clear line.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of file.
+    number : int
+        Number of the mutation, which together with the seed makes the file again.
+    what : str
+        What happened.
+    """
+
+    kind: str
+    number: int
+    what: str
+
+
+@dataclass
+class Tally:
+    """Results of the mutations of one kind of file.
+
+    Attributes
+    ----------
+    kind : str
+    read, refused : int
+        Mutations that were read, and refused in one clear line.
+    faults : list of Fault
+    slowest_s : float
+        Longest time of a read [s].
+    """
+
+    kind: str
+    read: int = 0
+    refused: int = 0
+    faults: list[Fault] = field(default_factory=list)
+    slowest_s: float = 0.0
+
+    @property
+    def count(self) -> int:
+        """Number of mutations."""
+        return self.read + self.refused + len(self.faults)
+
+
+class _TooLong(BaseException):
+    """Raised in a read that takes longer than MAX_READ_S."""
+
+
+def _read_signal(path: Path) -> object:
+    return import_signal(path, ImportOptions(30.0))
+
+
+def _read_envelope(path: Path) -> object:
+    load = find_loader(path)
+    assert load is not None
+    return load(path, ImportOptions(30.0)).render(10_000.0, 0, str(path))
+
+
+def _read_splats(path: Path) -> object:
+    open_splat_file(path)
+    return read_validated_splats(path)
+
+
+def _read_probe(path: Path) -> object:
+    get_probe.cache_clear()
+    return get_probe(str(path))
+
+
+READERS: dict[str, Reader] = {
+    **dict.fromkeys(("wav", "csv", "npz"), _read_signal),
+    **{word: _read_envelope for word, form in FORMATS.items() if form.load},
+    **{suffix[1:]: _read_envelope for suffix in FOREIGN_LOADERS},
+    "action": read_action_csv,
+    "hnf": read_hnf,
+    "probe": _read_probe,
+    "profile": read_profile,
+    "transforms": read_transforms,
+    **dict.fromkeys(("ply", "splat", "spz"), _read_splats),
+}  # fmt: skip
+"""Kind of file → its reader."""
+
+
+def make_sources(folder: Path) -> dict[str, Path]:
+    """Write one small file of each kind of READERS; return kind → file."""
+    time_s = np.arange(2000) / 10_000.0
+    touch = Signal((3.0 * np.sin(2.0 * np.pi * 150.0 * time_s) * (time_s < 0.15)).astype(np.float32), 10_000.0, 1, {})
+    files: dict[str, Path] = {}
+    for word in ("wav", "csv", "npz", *(word for word, form in FORMATS.items() if form.load)):
+        files[word] = folder / f"{word}{FORMATS[word].suffix}"
+        FORMATS[word].write(files[word], touch, ExportOptions())
+    texts = {
+        "tact": json.dumps(_TACT), "haps": json.dumps(_HAPS), "transforms": json.dumps(_TRANSFORMS),
+        "action": "time_s,direction_rad,speed_m_s,force_n\n" + "".join(f"{i / 100},0.1,0.1,1\n" for i in range(20)),
+        "probe": _PROBE,
+    }  # fmt: skip
+    suffixes = {"action": "csv", "probe": "toml", "transforms": "json"}
+    for kind, text in texts.items():
+        files[kind] = folder / f"{kind}.{suffixes.get(kind, kind)}"
+        files[kind].write_text(text, encoding="utf-8")
+    files["profile"] = folder / "profile.json"
+    write_profile(files["profile"], GENERIC)
+    files["hnf"] = folder / "material.hnf"
+    write_hnf(files["hnf"], from_library(get_material("oak-wood")))
+    random = np.random.default_rng(0)
+    rows = np.zeros(20, [("mean", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("turn", "u1", 4)])
+    rows["mean"], rows["scale"], rows["colour"], rows["turn"] = random.random((20, 3)), 0.01, 200, (255, 128, 128, 128)
+    files["splat"] = folder / "rows.splat"
+    files["splat"].write_bytes(rows.tobytes())
+    files["ply"], files["spz"] = folder / "splats.ply", folder / "splats.spz"
+    names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
+    names += [f"rot_{axis}" for axis in range(4)]
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 20\n"
+    header += "".join(f"property float {name}\n" for name in names) + "end_header\n"
+    values = np.column_stack([random.random((20, 7)), np.full((20, 3), -4.0), np.tile([1.0, 0.0, 0.0, 0.0], (20, 1))])
+    files["ply"].write_bytes(header.encode() + values.astype("<f4").tobytes())
+    body = struct.pack("<4sIIBBBB", b"NGSP", 2, 20, 0, 12, 0, 0) + bytes(random.integers(0, 256, 20 * 19, np.uint8))
+    files["spz"].write_bytes(gzip.compress(body, mtime=0))
+    return files
+
+
+_TACT = {"project": {"tracks": [{"enable": True, "effects": [{"startTime": 200, "modes": {"Left": {
+    "mode": "DOT_MODE", "dotMode": {"feedback": [{"startTime": 0, "endTime": 100, "playbackType": "FADE_OUT",
+    "pointList": [{"index": 1, "intensity": 0.5}]}]}}}}]}]}}  # fmt: skip
+_KEYS = [{"m_time": 0, "m_value": 1.0}, {"m_time": 0.5, "m_value": 0.0}]
+_HAPS = {"m_gain": 1.0, "m_vibration": {"m_melodies": [{"m_mute": 0, "m_gain": 1.0, "m_notes": [
+    {"m_startingPoint": 0.0, "m_length": 0.5, "m_gain": 0.5, "m_hapticEffect": {
+        "m_amplitudeModulation": {"m_keyframes": _KEYS}, "m_frequencyModulation": {"m_keyframes": _KEYS}}},
+    {"m_startingPoint": 0.6, "m_length": 0.022, "m_gain": 1.0, "m_hapticEffect": {"m_type": 0}}]}]}}  # fmt: skip
+_TRANSFORMS = {
+    "fl_x": 500.0, "fl_y": 500.0, "cx": 320.0, "cy": 240.0, "w": 640, "h": 480, "camera_model": "OPENCV",
+    "frames": [{"file_path": f"images/{i}.png", "transform_matrix": np.eye(4).tolist()} for i in range(2)],
+}  # fmt: skip
+_PROBE = (Path(__file__).parents[3] / "hnf_core" / "data" / "probes" / "pen.toml").read_text("utf-8").replace(
+    'name = "pen"', 'name = "mine"')  # fmt: skip
+
+
+def mutate(data: bytes, random: np.random.Generator) -> bytes:
+    """Return damaged data: as JSON with other values where it is JSON half of the time, else byte by byte."""
+    if data[:1] in b"{[" and random.random() < 0.5:
+        try:
+            return _mutate_json(json.loads(data), random)
+        except ValueError:
+            pass
+    if data[:2] == b"\x1f\x8b" and random.random() < 0.5:
+        return gzip.compress(mutate(gzip.decompress(data), random), mtime=0)
+    for _ in range(min(int(random.geometric(0.6)), MAX_OPERATIONS)):
+        data = _mutate_bytes(data, random)
+    return data
+
+
+def _mutate_bytes(data: bytes, random: np.random.Generator) -> bytes:
+    if not data:
+        return bytes(random.integers(0, 256, 8, np.uint8))
+    at = int(random.integers(len(data)))
+    # Headers are short, and decide most.
+    at = min(at, int(random.integers(64))) if random.random() < 0.4 else at
+    length = int(min(random.geometric(0.1), len(data) - at))
+    match int(random.integers(8)):
+        case 0:
+            return data[:at] + bytes([data[at] ^ (1 << int(random.integers(8)))]) + data[at + 1 :]
+        case 1:
+            return data[:at] + bytes(random.integers(0, 256, length, np.uint8)) + data[at + length :]
+        case 2:
+            return data[:at]
+        case 3:
+            return data[:at] + data[at + length :]
+        case 4:
+            return data[: at + length] + data[at : at + length] * int(random.integers(1, 20)) + data[at + length :]
+        case 5:
+            return data[:at] + bytes([int(random.choice([0, 127, 128, 255]))]) * length + data[at + length :]
+        case 6:
+            return data + bytes(random.integers(0, 256, int(random.integers(1, 64)), np.uint8))
+    numbers = list(re.finditer(rb"-?\d+(?:\.\d+)?", data))
+    if not numbers:
+        return data[:at] + data[at + 1 :]
+    found = numbers[int(random.integers(len(numbers)))]
+    return data[: found.start()] + NUMBERS[int(random.integers(len(NUMBERS)))] + data[found.end() :]
+
+
+def _mutate_json(tree: Any, random: np.random.Generator) -> bytes:
+    """Replace, remove or repeat up to three values of a document."""
+    for _ in range(int(random.integers(1, 4))):
+        places = list(_iter_places(tree))
+        if not places:
+            break
+        holder, key = places[int(random.integers(len(places)))]
+        choice = random.random()
+        if choice < 0.7:
+            holder[key] = copy.deepcopy(VALUES[int(random.integers(len(VALUES)))])
+        elif choice < 0.9:
+            del holder[key]
+        elif isinstance(holder, list):
+            holder.insert(key, copy.deepcopy(holder[key]))
+        else:
+            holder[f"{key}x"] = holder.pop(key)
+    return json.dumps(tree).encode()
+
+
+def _iter_places(tree: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield (holder, key or index) of every value of a document."""
+    pending = [tree]
+    while pending:
+        holder = pending.pop()
+        pairs = holder.items() if isinstance(holder, dict) else enumerate(holder) if isinstance(holder, list) else ()
+        for key, value in pairs:
+            yield holder, key
+            if isinstance(value, dict | list):
+                pending.append(value)
+
+
+def make_mutation(source: bytes, kind: str, seed: int, number: int) -> bytes:
+    """Return the `number`-th mutation of a kind's file under a seed, the same on every machine."""
+    return mutate(source, np.random.default_rng([seed, number, *kind.encode()]))
+
+
+def describe_fault(error: BaseException | None, seconds: float) -> str:
+    """Return what is wrong with how a read ended, "" if nothing is; `error` is None if it was read."""
+    if isinstance(error, _TooLong) or seconds > MAX_READ_S:
+        return f"it took more than {MAX_READ_S:g} s"
+    if error is None:
+        return ""
+    if not isinstance(error, HnfError):
+        return f"{type(error).__name__}: {error}"
+    text = str(error)
+    if "\n" in text or RAW_TEXT.search(text) or not error.remedy:
+        return f"no clear line: {text}"
+    return ""
+
+
+def fuzz_readers(
+    kinds: Sequence[str], count: int, seed: int, progress: ProgressCallback = ignore_progress
+) -> list[Tally]:
+    """Read `count` mutations of each kind of READERS in this process; return a tally for each."""
+    tallies = []
+    with tempfile.TemporaryDirectory() as name, _alarm():
+        sources = make_sources(Path(name))
+        for index, kind in enumerate(kinds):
+            tally, whole, path = Tally(kind), sources[kind].read_bytes(), sources[kind]
+            READERS[kind](path)  # the file itself is read
+            for number in range(count):
+                if number % 100 == 0:
+                    progress(Progress(kind, index * count + number, len(kinds) * count))
+                path.write_bytes(make_mutation(whole, kind, seed, number))
+                _add(tally, number, *_time_read(READERS[kind], path))
+            tallies.append(tally)
+    return tallies
+
+
+def _time_read(reader: Reader, path: Path) -> tuple[BaseException | None, float]:
+    started, error = time.monotonic(), None
+    signal.setitimer(signal.ITIMER_REAL, MAX_READ_S)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            reader(path)
+    except (Exception, _TooLong) as caught:
+        error = caught
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+    return error, time.monotonic() - started
+
+
+def _add(tally: Tally, number: int, error: BaseException | None, seconds: float) -> None:
+    what = describe_fault(error, seconds)
+    tally.slowest_s = max(tally.slowest_s, seconds)
+    if what:
+        tally.faults.append(Fault(tally.kind, number, what))
+    elif error is None:
+        tally.read += 1
+    else:
+        tally.refused += 1
+
+
+class _alarm:  # noqa: N801
+    """Context in which the timer of a read raises _TooLong."""
+
+    def __enter__(self) -> None:
+        self._before = signal.signal(signal.SIGALRM, self._raise)
+
+    def __exit__(self, *about: object) -> None:
+        signal.signal(signal.SIGALRM, self._before)
+
+    @staticmethod
+    def _raise(*about: object) -> None:
+        raise _TooLong
+
+
+def fuzz_scenes(
+    kinds: Sequence[str], count: int, seed: int, progress: ProgressCallback = ignore_progress
+) -> list[Tally]:
+    """Open `count` mutations of each kind of scene in Blender, some in each process; return a tally for each."""
+    tallies = []
+    for index, kind in enumerate(kinds):
+        tally, first = Tally(kind), 0
+        while first < count:
+            progress(Progress(kind, index * count + first, len(kinds) * count))
+            last = min(first + SCENES_PER_PROCESS, count)
+            order = [sys.executable, "-c", _CHILD, kind, str(seed), str(first), str(last)]
+            done = subprocess.run(order, capture_output=True, text=True, errors="replace", timeout=3600, check=False)
+            lines = done.stdout.split("\n")
+            answers = [json.loads(line.removeprefix(ANSWER)) for line in lines if line.startswith(ANSWER)]
+            for number, outcome, seconds in answers:
+                tally.slowest_s = max(tally.slowest_s, seconds)
+                if outcome in ("read", "refused"):
+                    setattr(tally, outcome, getattr(tally, outcome) + 1)
+                else:
+                    tally.faults.append(Fault(kind, number, outcome))
+            first += len(answers)
+            if first < last:  # the process died on the next one
+                said = done.stderr.strip().splitlines()
+                why = f"the process ended with {done.returncode}" + (f": {said[-1]}" if said else "")
+                if READY not in lines:
+                    raise FileError(f"{why}.", where=f"a scene of kind '{kind}'", remedy="Check that bpy is installed.")
+                tally.faults.append(Fault(kind, first, why))
+                first += 1
+        tallies.append(tally)
+    return tallies
+
+
+def open_mutated_scenes(kind: str, seed: int, first: int, last: int) -> None:
+    """Open mutations of a ball, which Blender writes first, and print one line of JSON for each."""
+    import bpy
+
+    from hnf_blender import props
+    from hnf_blender.bridge.importers import open_empty_scene, open_scene
+    from hnf_blender.bridge.scene.temp_scene import suppress_output
+
+    props.register()
+    with tempfile.TemporaryDirectory() as name, _alarm():
+        path = Path(name) / f"ball.{kind}"
+        open_empty_scene()
+        with suppress_output():
+            bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=6, radius=0.05)
+            bpy.context.object.data.materials.append(bpy.data.materials.new("Leather"))
+            _export(path)
+        whole = path.read_bytes()
+        print(f"\n{READY}", flush=True)
+        for number in range(first, last):
+            path.write_bytes(make_mutation(whole, kind, seed, number))
+            error, seconds = _time_read(lambda path: open_scene(path), path)
+            outcome = describe_fault(error, seconds) or ("read" if error is None else "refused")
+            print(ANSWER + json.dumps([number, outcome, seconds]), flush=True)
+
+
+def _export(path: Path) -> None:
+    import bpy
+
+    kind, wm = path.suffix[1:], bpy.ops.wm
+    if kind in ("gltf", "glb"):
+        form = {"gltf": "GLTF_SEPARATE", "glb": "GLB"}[kind]
+        bpy.ops.export_scene.gltf(filepath=str(path), export_format=form)
+    elif kind == "fbx":
+        bpy.ops.export_scene.fbx(filepath=str(path))
+    else:
+        {"obj": wm.obj_export, "ply": wm.ply_export, "stl": wm.stl_export}.get(kind, wm.usd_export)(filepath=str(path))
+
+
+_CHILD = (
+    "import sys; from hnf_lab.evaluation.fuzz import open_mutated_scenes; kind, *numbers = sys.argv[1:]; "
+    "open_mutated_scenes(kind, *map(int, numbers))"
+)
+
+
+def format_tallies(tallies: Sequence[Tally], seed: int) -> str:
+    """Format the tallies as a Markdown table, with every different fault once below it."""
+    lines = ["| file | mutated | read | refused | at fault | slowest |", "| --- | ---: | ---: | ---: | ---: | ---: |"]
+    lines += [
+        f"| {each.kind} | {each.count} | {each.read} | {each.refused} | {len(each.faults)} | {each.slowest_s:.2f} s |"
+        for each in tallies
+    ]
+    faults = [fault for each in tallies for fault in each.faults]
+    alike = Counter((fault.kind, _strip_numbers(fault.what)) for fault in faults)
+    for (kind, what), count in alike.most_common():
+        first = next(fault for fault in faults if (fault.kind, _strip_numbers(fault.what)) == (kind, what))
+        lines.append(f"* {count} × {kind}, first mutation {first.number} of seed {seed}: {first.what}")
+    return "\n".join(lines)
+
+
+def _strip_numbers(text: str) -> str:
+    return re.sub(r"\d+|'[^']*'|/\S+", "…", text)
