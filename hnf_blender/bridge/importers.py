@@ -23,7 +23,7 @@ from hnf_core.scene.camera import Camera
 from hnf_core.scene.file_kind import identify, read_head
 from hnf_core.scene.gltf_document import check_gltf, describe_unread, is_splat_document, read_gltf_document
 from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, read_model_transforms
-from hnf_core.scene.ply import read_ply_header
+from hnf_core.scene.ply import check_faces, read_ply_header
 from hnf_core.scene.splats.splat_file import SPLAT_SUFFIXES, open_splat_file
 
 from .scene.stored_data import show_vertex_colours
@@ -519,7 +519,7 @@ def _get_family(suffix: str) -> str:
 
 
 def _check_ply(path: Path) -> None:
-    """Raise SceneError if a .ply is a point cloud without splats."""
+    """Raise SceneError if a .ply is a point cloud without splats, FileError if its faces are damaged."""
     header = read_ply_header(path)
     if header.count("face") == 0 and header.count("tristrips") == 0:
         raise SceneError(
@@ -527,6 +527,7 @@ def _check_ply(path: Path) -> None:
             where=str(path),
             remedy="Convert it to a mesh first (for example by Poisson reconstruction).",
         )
+    check_faces(path, header)
 
 
 def _find_importer(suffix: str, path: Path) -> Callable[..., Any]:

@@ -41,6 +41,8 @@ class PlyHeader:
         Comments without the word 'comment'.
     data_offset : int
         Position of the data in the file [bytes].
+    lists : dict of str to (str, str)
+        numpy type codes of the length and the items of the list that is the only property of an element.
     """
 
     elements: dict[str, tuple[int, tuple[str, ...]]]
@@ -48,6 +50,7 @@ class PlyHeader:
     format: str = ""
     comments: tuple[str, ...] = ()
     data_offset: int = 0
+    lists: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def count(self, element: str) -> int:
         """Return the number of rows of an element, 0 if there is none of that name."""
@@ -88,6 +91,7 @@ def read_ply_header(path: Path) -> PlyHeader:
     types: dict[str, tuple[str, ...]] = {}
     format_name, name = "", ""
     comments = []
+    lists: dict[str, tuple[str, str]] = {}
     for line in (raw.decode("latin-1") for raw in lines[1:]):
         words = line.split()
         if words[:1] == ["format"] and len(words) > 1:
@@ -104,7 +108,54 @@ def read_ply_header(path: Path) -> PlyHeader:
             count, names = elements[name]
             elements[name] = (count, (*names, words[-1]))
             types[name] = (*types[name], PLY_TYPES.get(words[1], "") if len(words) == 3 else "")
-    return PlyHeader(elements, types, format_name, tuple(comments), data_offset)
+            lists.pop(name, None)
+            if words[1] == "list" and len(words) == 5 and not names and {words[2], words[3]} <= PLY_TYPES.keys():
+                lists[name] = (PLY_TYPES[words[2]], PLY_TYPES[words[3]])
+    return PlyHeader(elements, types, format_name, tuple(comments), data_offset, lists)
+
+
+MAX_FACE_RUNS = 10_000
+"""Largest number of runs of faces with as many corners each that are checked; later ones are taken on trust."""
+MIN_FACE_ROWS = 64
+"""Number of faces that are looked at once; twice as many after each such number of faces with as many corners each."""
+
+
+def check_faces(path: Path, header: PlyHeader) -> None:
+    """Raise FileError if a mesh states an unknown format, or a face of it is cut off or names a vertex not there.
+
+    Blender's importer trusts all of it, and its process ends. Faces are checked in binary files, if their element holds
+    one list, and nothing but rows of a fixed size precedes it.
+    """
+    if header.format != "ascii" and header.format not in BYTE_ORDERS:
+        raise make_damaged_error(path, f"its format is {header.format[:40]!r}")
+    count, code = header.count("face"), header.lists.get("face")
+    if count and not header.count("vertex"):
+        raise make_damaged_error(path, "it has faces and no vertices")
+    before = (
+        [name for name in header.elements if name != "face"][: list(header.elements).index("face")] if count else []
+    )
+    if code is None or header.format not in BYTE_ORDERS or any("" in header.types.get(name, ("",)) for name in before):
+        return
+    order, vertices = BYTE_ORDERS[header.format], header.count("vertex")
+    data = np.memmap(path, np.uint8, "r")
+    at, window = _find_element_offset(path, header, "face"), MIN_FACE_ROWS
+    for _ in range(MAX_FACE_RUNS):
+        if count <= 0:
+            return
+        head = np.dtype(order + code[0])
+        corners = int(data[at : at + head.itemsize].view(head)[0]) if at + head.itemsize <= len(data) else -1
+        row = head.itemsize + max(corners, 0) * np.dtype(code[1]).itemsize
+        complete = min(count, (len(data) - at) // row, window) if corners >= 0 else 0
+        if complete < 1:
+            raise make_truncated_error(path, "face", header.count("face") - count, header.count("face"))
+        kind = np.dtype([("corners", head), ("index", order + code[1], (corners,))])
+        rows = data[at : at + complete * row].view(kind)
+        others = np.flatnonzero(rows["corners"] != corners)
+        run = rows["index"][: int(others[0]) if len(others) else complete]
+        if run.size and not (run.min() >= 0 and run.max() < vertices):
+            raise make_damaged_error(path, "a face names a vertex that is not there")
+        at, count = at + len(run) * row, count - len(run)
+        window = 2 * window if len(run) == window else MIN_FACE_ROWS
 
 
 def make_damaged_error(path: Path, why: str) -> FileError:

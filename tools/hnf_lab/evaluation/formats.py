@@ -190,11 +190,11 @@ def _measure_pair(source: str, target: str, written: dict[Path, Path | str], fol
             levels.append(math.inf)
         clicks_in += len(before.envelope.emphases)
         times = [click.time_s for click in after.envelope.emphases]
-        clicks_out += _count_kept([click.time_s for click in before.envelope.emphases], times)
+        clicks_out += _count_preserved([click.time_s for click in before.envelope.emphases], times)
     return Cell(source, target, clips, max(durations), max(levels), clicks_in, clicks_out, refused)
 
 
-def _count_kept(before: Sequence[float], after: Sequence[float]) -> int:
+def _count_preserved(before: Sequence[float], after: Sequence[float]) -> int:
     """Count the clicks at times `before` that have one of their own in `after` within `CLICK_TOLERANCE_S`."""
     left, kept = list(after), 0
     for time in before:

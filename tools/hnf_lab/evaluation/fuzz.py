@@ -49,7 +49,7 @@ RAW_TEXT = re.compile(
     r"Traceback|\b[A-Z]\w*(?:Error|Exception)\b|object has no attribute|NoneType|index out of|unpack requires"
     r"|not iterable"
 )
-"""What a message for a person does not hold."""
+"""Pattern of an exception's own text, which a message for a person does not hold."""
 VALUES: tuple[Any, ...] = (
     None, True, "", "x", -1, 0, 1e308, -1e308, 2**63, 1e-320, [], {}, [[]], [None], {"a": 1}, "NaN", float("nan"),
     float("inf"),
