@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
+from hnf_core.actuators.profile import ActuatorProfile, make_user_profile
 from hnf_core.errors import HnfError, SceneError
 
 from ..actuator.actuator_state import (
@@ -121,21 +122,40 @@ class HNF_OT_actuator_test(bpy.types.Operator):  # type: ignore[misc]
 
 
 NOT_LIVE_REASON = "Live Touch cannot play through Blender's own sound: install sounddevice"
+SYSTEM_SOUND = "audio"
+"""Target of a live touch on the speakers: Blender's own sound takes no samples piece by piece."""
+AUDIBLE_HZ = (20.0, 20_000.0)
+"""Band of headphones, which bounds nothing that can be heard [Hz]."""
+REDRAW_INTERVAL_S, REDRAW_SHARE = 1.0 / 30.0, 0.2
+"""Shortest time between two redraws of the view while its contact moves [s], and largest share of the time that they
+take: the pen's events wait while Blender draws."""
+
+
+def get_live_output(context: Any) -> tuple[str, ActuatorProfile]:
+    """Return where a live touch is played, and within which limits.
+
+    On the speakers it is the system's sound output, as loud as *Play* is there: full scale follows the monitor gain.
+    """
+    from ..preview.sound_device import compute_monitor_gain
+
+    target = get_selected_output(context)
+    if target != SPEAKERS:
+        return target, get_actuator_profile(context.scene)
+    full_scale_m_s2 = 1.0 / compute_monitor_gain(float(context.scene.hnf.monitor_gain_db))
+    return SYSTEM_SOUND, make_user_profile(full_scale_m_s2, *AUDIBLE_HZ)
 
 
 class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types
     bl_idname = "hnf.live_touch"
     bl_label = "Live Touch"
     bl_description = (
-        "Drag over a surface and feel it at once: pen pressure becomes force in newtons, your hand's motion becomes "
-        "speed in mm/s. Nothing is baked or kept. Esc ends"
+        "Drag over a surface and hear or feel it at once: pen pressure becomes force in newtons, your hand's motion "
+        "becomes speed in mm/s. Nothing is baked or kept. Esc ends"
     )
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        if not poll_actuator(cls, context):
-            return False
-        if needs_offline_player(get_selected_output(context)):
+        if needs_offline_player(get_selected_output(context) or SYSTEM_SOUND):
             return fail_poll(cls, NOT_LIVE_REASON)
         if context.mode != "OBJECT":
             return fail_poll(cls, "Surfaces are touched in Object Mode: choose it in the header")
@@ -153,7 +173,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
             return {"CANCELLED"}
         if not self._start(context):
             return {"CANCELLED"}
-        context.workspace.status_text_set(tr("Drag over a surface to feel it.  Esc or right click: end"))
+        context.workspace.status_text_set(tr("Drag over a surface.  Esc or right click: end"))
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
@@ -176,12 +196,8 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         controller.stop()
         try:
             material = guess_first_material(context)
-            PLAYER_CLIENT.live_begin(
-                get_selected_output(context),
-                get_actuator_profile(context.scene),
-                resolve_probe(context, DEFAULT_PROBE),
-                material,
-            )
+            controller.PLAYER.follow_pen(PLAYER_CLIENT)
+            PLAYER_CLIENT.live_begin(*get_live_output(context), resolve_probe(context, DEFAULT_PROBE), material)
         except HnfError as error:
             self.report({"WARNING"}, format_error(error))
             return False
@@ -190,6 +206,8 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         self._check_likely_surface(context)
         self._region: Any = None
         self._is_pen, self._pressure = False, 1.0
+        self._world, self._tagged_at, self._redraw_s, self._awaits_redraw = None, 0.0, 0.0, False
+        self._handle: Any = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
         redraw_tab()
         return True
 
@@ -208,11 +226,22 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
     def _end(self, context: Any) -> None:
         from ..actuator.player_client import PLAYER_CLIENT
 
-        self._touch.lift(time.perf_counter())
+        self._lift()
         PLAYER_CLIENT.live_end()
+        if self._handle is not None:
+            bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+            self._handle = None
         if context.workspace is not None:
             context.workspace.status_text_set(None)
         redraw_tab()
+
+    def _lift(self) -> None:
+        """Lift the pen: silence, and nothing is drawn."""
+        self._touch.lift(time.perf_counter())
+        self._world, self._awaits_redraw = None, False
+        if self._region is not None:
+            self._region.tag_redraw()
+        self._region = None
 
     def _step(self, context: Any, event: Any) -> set[str]:
         from ..actuator.player_client import PLAYER_CLIENT
@@ -233,8 +262,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
                 return {"PASS_THROUGH"}
             self._is_pen, self._pressure = False, 1.0
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE" and self._region is not None:
-            self._region = None
-            self._touch.lift(time.perf_counter())
+            self._lift()
             return {"RUNNING_MODAL"}
         elif event.type not in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}:
             return {"PASS_THROUGH"}
@@ -262,10 +290,32 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
             update_live_touch(self._touch, context, hit, force, time.perf_counter(), self._token_validity)
         except HnfError as error:
             self.report({"WARNING"}, format_error(error))
+        self._world = hit.world if hit is not None and self._touch.pressed_n > 0.0 else None
+        pause_s = max(REDRAW_INTERVAL_S, self._redraw_s / REDRAW_SHARE)
+        if not self._awaits_redraw and time.perf_counter() - self._tagged_at > pause_s:
+            self._tagged_at, self._awaits_redraw = time.perf_counter(), True
+            self._region.tag_redraw()
         for name in self._token_validity.outdated.keys() - self._reported:
             template = tr("{why}: it is felt by its look, not as baked")
             self.report({"WARNING"}, template.format(why=self._token_validity.outdated[name].rstrip(".")))
         self._reported |= self._token_validity.outdated.keys()
+
+    def _draw(self) -> None:
+        """Draw the contact in the touched view; called by Blender after drawing any 3D view."""
+        from bpy_extras.view3d_utils import location_3d_to_region_2d
+
+        from .material_ops import format_display_name
+        from .pen import draw_live_contact
+
+        region = bpy.context.region
+        if self._world is None or region != self._region:
+            return
+        if self._awaits_redraw:
+            self._redraw_s, self._awaits_redraw = time.perf_counter() - self._tagged_at, False
+        place = location_3d_to_region_2d(region, region.data, self._world)
+        if place is not None:
+            force = self._touch.pressed_n
+            draw_live_contact(tuple(place), force, f"{format_display_name(self._touch.material)}  {force:.2f} N")
 
 
 def update_live_touch(

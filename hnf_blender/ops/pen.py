@@ -14,6 +14,7 @@ from hnf_core.units import m_to_mm
 
 from ..bridge.scene.object_size import filter_rendered, get_metres_per_unit
 from ..bridge.viewport_pick import explain_untouchable, find_region_under_mouse, find_view_under_mouse, pick_surface
+from ..state.interface import HALO, WHITE, draw_disc
 from ..translations import tr
 
 STEP_PX = 4.0
@@ -222,6 +223,32 @@ class Pen:
             gpu.matrix.multiply_matrix(surface.matrix_world)
             batch.draw(shader)
         gpu.state.blend_set("NONE")
+
+
+LIVE_RADIUS_PX, LIVE_GROWTH_PX, LARGEST_GROWTH_PX = 5.0, 4.0, 12.0
+"""Radius of the contact of a live touch without force, growth per newton and at most [px]."""
+TEXT_PX, TEXT_GAP_PX = 13.0, 8.0
+"""Size of the text beside it, and distance from it [px]."""
+
+
+def draw_live_contact(place: tuple[float, float], force_n: float, text: str) -> None:
+    """Draw the contact of a live touch at (x, y) [px]: a disc of the force's color and size, and a text beside it."""
+    import blf
+    import bpy
+
+    scale = float(bpy.context.preferences.system.pixel_size or 1.0)
+    radius = (LIVE_RADIUS_PX + min(LIVE_GROWTH_PX * force_n, LARGEST_GROWTH_PX)) * scale
+    angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    for added_px, colour in ((2.5, HALO), (1.0, WHITE), (-1.0, force_to_colour(force_n))):
+        draw_disc(np.array([*place, 0.0]) + (radius + added_px * scale) * circle, colour)
+    blf.size(0, TEXT_PX * scale)
+    blf.color(0, *WHITE)
+    blf.enable(0, blf.SHADOW)
+    blf.shadow(0, 5, *HALO[:3], 1.0)
+    blf.position(0, place[0] + radius + TEXT_GAP_PX * scale, place[1] + radius, 0.0)
+    blf.draw(0, text)
+    blf.disable(0, blf.SHADOW)
 
 
 def is_cancel_event(context: Any, event: Any, *, pressed: bool = False) -> bool:

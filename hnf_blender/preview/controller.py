@@ -44,7 +44,14 @@ class OutputRouter:
         if player is not self._playing:
             self._playing.stop()
             self._playing = player
+            if player is self._speakers:
+                self._forget_live_problem()
         player.play(sound)
+
+    def follow_pen(self, client: Player) -> None:
+        """Make `client` the one that sounds, whatever output is selected: a live touch begins there."""
+        self._playing.stop()
+        self._playing = client
 
     def change(self, sound: Sound) -> None:
         if self._playing.is_playing and self._select_player() is self._playing:
@@ -92,6 +99,12 @@ class OutputRouter:
         self._playing.release()
         self._speakers.release()
         self._playing = self._speakers
+
+    def _forget_live_problem(self) -> None:
+        """Forget why a live touch ended: the speakers play something else."""
+        from ..actuator.player_client import PLAYER_CLIENT
+
+        PLAYER_CLIENT.problem = ""
 
     def _select_player(self) -> Player:
         from ..actuator.actuator_state import SPEAKERS, get_selected_output, needs_offline_player

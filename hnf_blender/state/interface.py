@@ -33,6 +33,25 @@ def _tag_regions(kind: str) -> None:
                         region.tag_redraw()
 
 
+HALO, WHITE = (0.02, 0.02, 0.03, 0.75), (1.0, 1.0, 1.0, 1.0)
+"""RGBA colors behind and around what is drawn in a view."""
+
+
+def draw_disc(corners: NDArray[np.floating[Any]], colour: tuple[float, float, float, float]) -> None:
+    """Draw the convex polygon with corners (n, 3) in one color, within a draw handler."""
+    import gpu
+    import numpy as np
+    from gpu_extras.batch import batch_for_shader
+
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    gpu.state.blend_set("ALPHA")
+    shader.bind()
+    shader.uniform_float("color", colour)
+    fan = [(0, k, k + 1) for k in range(1, len(corners) - 1)]
+    batch_for_shader(shader, "TRIS", {"pos": corners.astype(np.float32)}, indices=fan).draw(shader)
+    gpu.state.blend_set("NONE")
+
+
 _previews: Any = None
 
 

@@ -18,6 +18,8 @@ from hnf_core.action.curves import ArcCurve
 from hnf_core.errors import HnfError
 from hnf_core.export.plots.figure import Colour, force_to_colour
 
+from ..state.interface import HALO, WHITE, draw_disc
+
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
@@ -167,8 +169,6 @@ def _compute_colours(force: Float) -> Float32:
 
 LINE_PX, ACTIVE_PX, HALO_PX = 2.0, 3.5, 3.0
 """Line width of a path, of the active one, and added by the halo [px]."""
-HALO: Colour = (0.02, 0.02, 0.03, 0.75)
-WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 DEPTH_BIAS = 4e-3
 """Fraction of its distance by which a line is drawn nearer, so that it does not sink into the surface."""
 OCCLUDED_ALPHA = 0.35
@@ -246,9 +246,9 @@ def draw_path(name: str, path: OverlayPath, world: Any, view: OverlayView, *, is
 
 def draw_start(point: Float, view: OverlayView) -> None:
     """Draw a white ring at the start."""
-    _draw_disc(view.disc(point, START_PX + 1.5), HALO)
-    _draw_disc(view.disc(point, START_PX), WHITE)
-    _draw_disc(view.disc(point, START_PX - 2.0), HALO)
+    draw_disc(view.disc(point, START_PX + 1.5), HALO)
+    draw_disc(view.disc(point, START_PX), WHITE)
+    draw_disc(view.disc(point, START_PX - 2.0), HALO)
 
 
 def draw_contact(point: Float, force_n: float, view: OverlayView, *, is_active: bool, extent: float) -> None:
@@ -262,7 +262,7 @@ def draw_contact(point: Float, force_n: float, view: OverlayView, *, is_active: 
         gpu.state.depth_test_set("LESS_EQUAL")
         for added_px, colour in ((2.5, HALO), (1.0, WHITE), (-1.0, force_to_colour(force_n))):
             share = (radius + added_px) / radius
-            _draw_disc(view.disc(point, radius + added_px, largest=largest * share), colour)
+            draw_disc(view.disc(point, radius + added_px, largest=largest * share), colour)
         gpu.state.depth_test_set("NONE")
 
 
@@ -286,16 +286,6 @@ def _draw_lines(batch: Any, colour: Colour | None, width: float, view: OverlayVi
     if colour is not None:
         shader.uniform_float("color", colour)
     batch.draw(shader)
-
-
-def _draw_disc(corners: Float, colour: Colour) -> None:
-    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
-    gpu.state.blend_set("ALPHA")
-    shader.bind()
-    shader.uniform_float("color", colour)
-    fan = [(0, k, k + 1) for k in range(1, len(corners) - 1)]
-    batch_for_shader(shader, "TRIS", {"pos": corners.astype(np.float32)}, indices=fan).draw(shader)
-    gpu.state.blend_set("NONE")
 
 
 def _get_preferences() -> Any:

@@ -91,6 +91,7 @@ def draw_output(layout: Any, context: Any) -> None:
         draw_paragraph(layout, context, line, icon="INFO")
     if target == SPEAKERS:
         draw_hint(layout, context, tr("Speakers: the actuator's limits do not apply"))
+        draw_live(layout, context, ACTUATOR.facts)
         return
     row = make_button_row(layout, context)
     row.operator("hnf.actuator_test", text="Test", icon="IPO_EASE_IN_OUT")
@@ -131,7 +132,7 @@ def draw_live(layout: Any, context: Any, facts: ActuatorFacts) -> None:
     row.prop(settings, "live_pen_n", text="Pen (N)")
     row.prop(settings, "live_mouse_n", text="Mouse (N)")
     if is_live:
-        draw_paragraph(column, context, tr("Drag over a surface to feel it. Esc ends"), icon="INFO")
+        draw_paragraph(column, context, tr("Drag over a surface. Esc ends"), icon="INFO")
 
 
 class HNF_MT_output(bpy.types.Menu):  # type: ignore[misc]

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..actuator.actuator_state import ACTUATOR
+from ..actuator.actuator_state import ACTUATOR, SPEAKERS, get_selected_output
 from ..ops.stroke_ops import count_orphans, list_orphans
 from ..preview.preview_state import PREVIEW, PreviewFacts, get_preview_facts, get_preview_icon
 from ..props.scene_settings import CHOICE_BY_NAME, get_active_stroke, get_shown_profile, list_cached_strokes
@@ -124,7 +124,8 @@ def draw_remark(layout: Any, context: Any, stroke: Any) -> None:
         row.label(text="No Sound", icon="ERROR")
         row.operator("screen.userpref_show", text="Choose Device…").section = "SYSTEM"
     elif ACTUATOR.facts.problem:
-        row.label(text="Actuator Does Not Play", icon="ERROR")
+        is_speaker = get_selected_output(context) == SPEAKERS  # It is of a live touch then.
+        row.label(text="No Sound" if is_speaker else "Actuator Does Not Play", icon="ERROR")
     elif outcome is not None and not outcome.ok:
         row.label(text="Bake Has Problems", icon="ERROR")
     elif count_orphans(context.scene) and stroke in list_orphans(context.scene):

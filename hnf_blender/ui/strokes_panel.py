@@ -13,7 +13,6 @@ import bpy
 from hnf_core.action.primitives import PRIMITIVES
 
 from .. import compat
-from ..actuator.actuator_state import SPEAKERS, get_selected_output
 from ..ops.material_ops import format_display_name
 from ..props.object_cache import STROKES
 from ..props.scene_settings import find_index, find_namesake, get_active_stroke, list_cached_strokes
@@ -46,8 +45,7 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy 
             row = make_button_row(layout, context)
             row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
             row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
-        if get_selected_output(context) != SPEAKERS:
-            layout.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA")
+            row.operator("hnf.live_touch", text="", icon="BRUSH_DATA")
         if not strokes:
             draw_hint(
                 layout,

@@ -12,15 +12,18 @@ from builders import add_plane, add_sphere
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mathutils import Euler
-from player_builders import chosen, until
+from player_builders import chosen, tone, until
+from sound_server import RATE_HZ, SoundServer, sound_server, why_not
 from touch_scene import PLATE, ridge_plate
 
-from hnf_blender.actuator.actuator_state import VIRTUAL, Phase
+from hnf_blender.actuator.actuator_state import SPEAKERS, VIRTUAL, Phase
 from hnf_blender.actuator.live_touch import LiveTouch, SurfaceUnroll, force_from_pressure
 from hnf_blender.actuator.player_client import PlayerClient, get_phase
 from hnf_blender.bridge.scene.material_definition import set_definition
 from hnf_blender.bridge.viewport_pick import cast_on_surface, find_contact_point, find_touched_material
-from hnf_blender.ops.actuator_ops import guess_first_material, update_live_touch
+from hnf_blender.ops.actuator_ops import SYSTEM_SOUND, get_live_output, guess_first_material, update_live_touch
+from hnf_blender.preview.controller import OutputRouter
+from hnf_blender.preview.sound_device import apply_monitor_gain
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import TokenValidity
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
@@ -327,8 +330,6 @@ def test_over_another_material_the_hand_goes_on(link) -> None:
 
 
 def test_a_sound_takes_the_place_of_a_hand_and_ends_it(link) -> None:
-    from player_builders import tone
-
     choose(add_plane(), "denim")
     denim = from_library(get_material("denim"))
     link.live_begin(VIRTUAL, GENERIC, "pen", denim)
@@ -346,3 +347,71 @@ def test_a_probe_that_is_none_ends_the_hand_with_one_sentence(link) -> None:
     assert until(link, lambda: link.problem)
     assert "elbow" in link.problem
     assert not link.is_live
+
+
+@pytest.mark.parametrize("gain_db", [-20.0, 0.0, 17.0])
+def test_on_the_speakers_it_is_as_loud_as_play(gain_db) -> None:
+    bpy.context.scene.hnf.monitor_gain_db = gain_db
+    with chosen(SPEAKERS):
+        target, profile = get_live_output(bpy.context)
+    assert target == SYSTEM_SOUND
+    samples = np.linspace(-3.0, 3.0, 50, dtype=np.float32)
+    counted = np.clip(samples / profile.limits.full_scale_m_s2, -1.0, 1.0)
+    assert counted == pytest.approx(apply_monitor_gain(samples, gain_db)[:, 0], abs=1e-6)
+    with chosen(VIRTUAL):
+        assert get_live_output(bpy.context) == (VIRTUAL, GENERIC)
+
+
+def test_play_on_the_speakers_ends_a_hand_and_its_problem(monkeypatch) -> None:
+    """So that nothing is heard twice, and nothing is told of what is over."""
+    from hnf_blender.actuator import player_client
+
+    client, outputs, sounded = PlayerClient(), OutputRouter(), []
+    monkeypatch.setattr(player_client, "PLAYER_CLIENT", client)
+    monkeypatch.setattr(outputs._speakers, "start", lambda samples, rate, **_: sounded.append(len(samples)))
+    outputs.follow_pen(client)
+    client.live_begin(VIRTUAL, GENERIC, "pen", from_library(get_material("denim")))
+    client.problem = "The device is gone."
+    assert client.is_live
+    outputs.play(tone(0.1))
+    assert (client.is_live, client.problem, sounded) == (False, "", [1000])
+    client.release()
+
+
+@pytest.fixture
+def server(tmp_path):
+    if why_not():
+        pytest.skip(why_not())
+    with sound_server(tmp_path) as running:
+        yield running
+
+
+def test_a_hand_is_heard_on_headphones(server: SoundServer) -> None:
+    choose(add_plane(), "denim")
+    client, denim = PlayerClient(), from_library(get_material("denim"))
+    with chosen(SPEAKERS):
+        client.live_begin(*get_live_output(bpy.context), "pen", denim)
+    touch = LiveTouch(client, denim)
+    assert until(client, lambda: client.current_status is not None or client.problem)
+    assert client.problem == ""
+    with server.recording() as recorded:
+        told = stroke_by_hand(client, touch, 1.0)
+        touch.lift(time.perf_counter())
+        assert until(client, lambda: client.current_status.status.level_m_s2 < 1e-4)
+    client.release()
+    heard = np.abs(recorded[0][:, 0] / 32767.0)
+    assert np.count_nonzero(heard) > 0.05 * RATE_HZ  # a busy machine leaves gaps
+    assert 0.3 < heard.max() / max(status.peak for status in told) < 1.05
+    assert client.problem == ""
+
+
+def test_without_a_sound_output_one_line_says_so(server: SoundServer) -> None:
+    server.end()
+    client = PlayerClient()
+    with chosen(SPEAKERS):
+        client.live_begin(*get_live_output(bpy.context), "pen", from_library(get_material("denim")))
+    assert until(client, lambda: client.problem)
+    assert "sound output" in client.problem
+    assert "\n" not in client.problem
+    assert not client.is_live
+    client.release()

@@ -289,12 +289,13 @@ def test_custom_actuator_fields_show_only_for_a_custom_actuator() -> None:
     settings, own = bpy.context.scene.hnf, ["own_peak_m_s2", "own_lowest_hz", "own_highest_hz"]
     listed = drawn(panel("HNF_PT_actuator"))
     assert listed is not None
-    assert listed.props == ["actuator"]
+    live = ["live_pen_n", "live_mouse_n"]
+    assert listed.props == ["actuator", *live]
     assert "30 m/s²" in listed.words
     settings.actuator = "own"
     entered = drawn(panel("HNF_PT_actuator"))
     assert entered is not None
-    assert entered.props == ["actuator", *own]
+    assert entered.props == ["actuator", *own, *live]
     assert "Source" not in entered.words
     for name in own:
         assert re.search(r"m/s²|Hz", settings.bl_rna.properties[name].description)

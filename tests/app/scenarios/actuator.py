@@ -57,6 +57,18 @@ def check_a_baked_scene(stage):
     stage.expect("nothing runs beside Blender", children() == [], children())
 
 
+def check_live_touch_on_headphones_without_portaudio(stage):
+    """One line says so, and it stays."""
+    with stage.over():
+        bpy.ops.hnf.live_touch("INVOKE_DEFAULT")
+    yield from stage.until("it is told", lambda: facts().problem, SOON_S)
+    stage.expect("in one line with its remedy", "libportaudio2" in facts().problem, facts().problem)
+    yield from stage.move(stage.middle())
+    yield from stage.until("it has ended", lambda: not stage.window().modal_operators, 5.0)
+    yield from stage.picture("headphones-without-portaudio")
+    stage.expect("it is still told", facts().problem)
+
+
 def check_devices_are_looked_for(stage):
     state = ours("actuator.actuator_state").ACTUATOR
     with stage.over():
@@ -180,10 +192,31 @@ def check_live_touch(stage):
     stage.expect("it is felt", max(levels) > 0.01, max(levels))
     stage.measured(f"longest call of ours ({spent.longest_name})", 1e3 * spent.longest, "ms")
     yield from stage.until("lifted, it is silent", lambda: facts().level_m_s2 < 1e-3, 5.0)
+    yield from the_contact_is_drawn(stage, places[:40])
     stage.expect("no stroke was made", len(strokes()) == 1)
     yield from stage.key("ESC")
     yield from stage.until("Esc ends it", lambda: phase() == "ready", 5.0)
     stage.expect("without a fault", not facts().problem, facts().problem)
+
+
+def the_contact_is_drawn(stage, places):
+    """While the pen is down, and only then, under it and beside it."""
+    at, height = places[20], stage.window().height
+    part = (at[0] - 30, height - at[1] - 30, 260, 60)
+    yield 2.0  # the view stands still
+    before = stage.photograph("live-lifted", part).read_bytes()
+    yield from stage.move(places[0])
+    stage.event("LEFTMOUSE", "PRESS", places[0])
+    for place in (*places[1:20], at):
+        yield 0.05
+        stage.event("MOUSEMOVE", "NOTHING", place)
+    yield 1.0
+    during = stage.photograph("live-touching", part).read_bytes()
+    stage.photograph("live-contact")
+    stage.event("LEFTMOUSE", "RELEASE", at)
+    yield 2.0
+    stage.expect("the contact is drawn", during != before)
+    stage.expect("lifted, it is gone", stage.photograph("live-lifted-again", part).read_bytes() == before)
 
 
 def check_a_player_that_dies(stage):
