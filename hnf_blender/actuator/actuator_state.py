@@ -124,6 +124,11 @@ def needs_offline_player(target: str) -> bool:
     )
 
 
+def shares_blender_output(target: str) -> bool:
+    """Return whether `target` is played where Blender's own sound is, so that both are heard together."""
+    return target in (SPEAKERS, "audio") or needs_offline_player(target)
+
+
 @lru_cache(maxsize=1)
 def _is_sounddevice_installed() -> bool:
     return find_spec("sounddevice") is not None

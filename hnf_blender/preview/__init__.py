@@ -6,6 +6,7 @@ read `controller.py` first, then `synthesis_thread.py`.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Sequence
@@ -231,10 +232,8 @@ def _update_playback(context: Any, updated: set[str], timeline_plays: bool) -> N
         name, start = PREVIEW.sounding, controller.continue_playback
         if is_ready:
             name, start, PREVIEW.play_when_ready = PREVIEW.play_when_ready, controller.play, ""
-        try:
+        with contextlib.suppress(HnfError):  # It is in PREVIEW.sound_problem; the signal itself holds.
             start(name, context.scene)
-        except HnfError as error:
-            PREVIEW.problems[name] = str(error)
         controller.update_facts(name, context.scene)
     elif updated and timeline_plays and timeline_playback.FOLLOWER.is_playing(context.scene):
         timeline_playback.FOLLOWER.wait(context.scene)

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import math
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hnf_core.errors import FileError, SceneError
 from hnf_core.export.provenance import SourceStroke, read_source_stroke
@@ -23,7 +26,7 @@ from ..touch.report import Freshness
 from ..translations import tr
 from .preview_state import PREVIEW
 from .sound_device import compute_monitor_gain
-from .strips_and_speakers import find_linked_strips, mark_linked, mute_others
+from .strips_and_speakers import find_linked_strips, iter_strips, mark_linked, mute_others
 
 if TYPE_CHECKING:
     from hnf_core.export.convert import ExportResult
@@ -247,7 +250,9 @@ def add_strip(obj: Any, context: Any) -> Any:
     path, scene = export_stroke(obj, context, "wav").path, context.scene
     editor = scene.sequence_editor or scene.sequence_editor_create()
     strips = sequencer_strips(editor)
-    previous_strips = find_linked_strips(obj, scene, strips)
+    holders = [(strip, holder) for strip, holder, _ in iter_strips(scene)]
+    linked_strips = find_linked_strips(obj, scene, [strip for strip, _ in holders])
+    previous_strips = [(strip, holder) for strip, holder in holders if strip in linked_strips]
     top_channel = max((int(strip.channel) for strip in strips), default=0) + 1
     sound_path = bpy.path.relpath(str(path)) if scene.hnf.export_folder.startswith("//") else str(path)
     frame = round(float(obj.hnf_stroke.start))
@@ -259,9 +264,9 @@ def add_strip(obj: Any, context: Any) -> Any:
             where=f"stroke '{obj.name}'",
             remedy=f"Its WAV is written: {path}.",
         ) from error
-    channel = next((int(previous.channel) for previous in previous_strips), top_channel)
-    for previous in previous_strips:
-        strips.remove(previous)
+    channel = next((int(previous.channel) for previous, holder in previous_strips if holder == strips), top_channel)
+    for previous, holder in previous_strips:
+        holder.remove(previous)
     strip.channel, strip.name = channel, obj.name
     _mark_linked(strip, obj, scene)
     strip.volume = compute_monitor_gain(scene.hnf.monitor_gain_db)
@@ -273,7 +278,8 @@ def add_strip(obj: Any, context: Any) -> Any:
 def add_stroke_speaker(obj: Any, context: Any) -> Any:
     """Add a speaker that moves with the touched surface at the stroke's start, replacing an earlier one.
 
-    Its sound is packed into the .blend. Works in Object Mode only.
+    Its sound is packed into the .blend. Works in Object Mode only. A speaker's volume is at most 1, so that a monitor
+    gain above it raises the packed samples.
     """
     import bpy
 
@@ -286,6 +292,9 @@ def add_stroke_speaker(obj: Any, context: Any) -> Any:
     scale = get_metres_per_unit(scene)
     timeline = sample_timeline(obj, scene, scale)
     position = timeline.arc.point_at(timeline.position[:1])[0] / scale
+    gain = compute_monitor_gain(scene.hnf.monitor_gain_db)
+    if gain > 1.0:
+        signal = replace(signal, samples=signal.samples * np.float32(gain))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{make_file_stem(obj.name)}.wav"
         write_bytes(path, encode_wav(signal, where=f"stroke '{obj.name}'"))
@@ -301,6 +310,6 @@ def add_stroke_speaker(obj: Any, context: Any) -> Any:
     surface = find_object(scene, STATE.get_statuses(scene)[get_scene_name(scene, obj)].object_name)
     speaker = add_speaker(sound, f"{obj.name} speaker", tuple(position), float(obj.hnf_stroke.start), surface)
     _mark_linked(speaker, obj, scene)
-    speaker.data.volume = min(compute_monitor_gain(scene.hnf.monitor_gain_db), 1.0)
+    speaker.data.volume = min(gain, 1.0)
     mute_others(obj, scene, speaker)
     return speaker

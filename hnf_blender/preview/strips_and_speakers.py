@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import compat
 from ..bridge.scene.stored_data import get_property, set_property
 from ..props.scene_settings import list_strokes
 
@@ -43,37 +44,68 @@ def find_linked_strips(stroke: Any, scene: Any, candidates: Iterable[Any]) -> li
 
 def find_outdated_strips(stroke: Any, scene: Any, stamp: str) -> list[str]:
     """Return the names of a stroke's strips and speakers that play an earlier signal than the one with hash `stamp`."""
+    strips = [strip for strip, _, _ in iter_strips(scene)]
+    candidates = (*strips, *_list_speakers(scene))
+    marked = [candidate for candidate in candidates if candidate.get(STAMP_PROPERTY, stamp) != stamp]
+    return [str(candidate.name) for candidate in find_linked_strips(stroke, scene, marked)] if marked else []
+
+
+def iter_strips(scene: Any) -> Iterator[tuple[Any, Any, bool]]:
+    """Yield (strip, collection that holds it, whether it is muted) of a scene's sequencer, also those in meta strips.
+
+    A strip is muted by itself, its channel, or the meta strip around it.
+    """
+    if scene.sequence_editor is not None:
+        yield from _iter_strips_of(scene.sequence_editor, is_muted=False)
+
+
+def _iter_strips_of(holder: Any, *, is_muted: bool) -> Iterator[tuple[Any, Any, bool]]:
+    strips = compat.sequencer_strips(holder)
+    for strip in strips:
+        is_silent = is_muted or bool(strip.mute or holder.channels[strip.channel].mute)
+        yield strip, strips, is_silent
+        if strip.type == "META":
+            yield from _iter_strips_of(strip, is_muted=is_silent)
+
+
+def _list_speakers(scene: Any) -> list[Any]:
     import bpy
 
-    from ..compat import sequencer_strips
-
-    strips = [] if scene.sequence_editor is None else sequencer_strips(scene.sequence_editor)
-    speakers = [candidate for candidate in scene.objects if candidate.type == "SPEAKER"] if bpy.data.speakers else []
-    marked = [candidate for candidate in (*strips, *speakers) if candidate.get(STAMP_PROPERTY, stamp) != stamp]
-    return [str(candidate.name) for candidate in find_linked_strips(stroke, scene, marked)] if marked else []
+    return [obj for obj in scene.objects if obj.type == "SPEAKER"] if bpy.data.speakers else []
 
 
 def has_linked_strips(scene: Any) -> bool:
     """Return whether a scene's sequencer has a strip that plays a stroke."""
-    from ..compat import sequencer_strips
-
-    return any(NAME_PROPERTY in strip for strip in sequencer_strips(scene.sequence_editor))
+    return any(NAME_PROPERTY in strip for strip, _, _ in iter_strips(scene))
 
 
 def find_sounding(stroke: Any, scene: Any) -> list[Any]:
     """Return the strips and speakers of a stroke that Blender itself sounds while the timeline plays."""
-    import bpy
-
-    from ..compat import sequencer_strips
-
     if not scene.use_audio:
         return []
-    strips = [] if scene.sequence_editor is None else sequencer_strips(scene.sequence_editor)
-    speakers = [obj for obj in scene.objects if obj.type == "SPEAKER"] if bpy.data.speakers else []
-    audible = [strip for strip in strips if strip.type == "SOUND" and not strip.mute]
-    audible += [speaker for speaker in speakers if not speaker.data.muted and not speaker.hide_viewport]
+    audible = [strip for strip, _, is_muted in iter_strips(scene)
+               if strip.type == "SOUND" and not is_muted and strip.volume > 0.0]  # fmt: skip
+    audible += [speaker for speaker in _list_speakers(scene) if _is_audible(speaker, scene)]
     marked = [candidate for candidate in audible if NAME_PROPERTY in candidate]
     return find_linked_strips(stroke, scene, marked) if marked else []
+
+
+def _is_audible(speaker: Any, scene: Any) -> bool:
+    """Return whether Blender sounds a speaker.
+
+    It needs an NLA strip that is not muted (a muted track counts for nothing), and to be evaluated: excluded or hidden
+    from all viewports it is silent, hidden by its eye it is not.
+    """
+    import bpy
+
+    data, animation = speaker.data, speaker.animation_data
+    if data.sound is None or data.muted or data.volume <= 0.0 or animation is None:
+        return False
+    if all(strip.mute for track in animation.nla_tracks for strip in track.strips):
+        return False
+    windows = bpy.context.window_manager.windows
+    layer = next((window.view_layer for window in windows if window.scene == scene), scene.view_layers[0])
+    return layer.depsgraph is None or bool(speaker.evaluated_get(layer.depsgraph).is_evaluated)
 
 
 def mute_others(stroke: Any, scene: Any, kept: Any) -> None:
@@ -148,8 +180,8 @@ def add_speaker(sound: Any, name: str, location: Any, frame: float, parent: Any 
     for track in speaker.animation_data.nla_tracks:
         for strip in track.strips:
             strip.frame_start = frame
+    speaker.parent = parent  # It also makes Blender evaluate the sound anew: a speaker added from a script is silent.
     if parent is not None:
-        speaker.parent = parent
         speaker.matrix_parent_inverse = parent.matrix_world.inverted()
         speaker.scale = (max(SYMBOL_SIZE_FRACTION * float(np.ptp(_get_world_corners(parent), axis=0).max()), 1e-6),) * 3
     return speaker

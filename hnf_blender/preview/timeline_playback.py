@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -123,8 +122,6 @@ class PlayheadFollower:
 
         Without a sound device nothing is played, and the timeline plays on.
         """
-        from hnf_core.errors import HnfError
-
         from .controller import PLAYER
 
         self.start_frame, self.scene, self.is_waiting = None, scene.name, False
@@ -137,8 +134,7 @@ class PlayheadFollower:
         if sound is None:
             PLAYER.stop()
             return
-        with contextlib.suppress(HnfError):
-            PLAYER.play(pad_with_silence(sound))
+        _play(sound)
 
     def stop(self) -> None:
         from .controller import PLAYER
@@ -168,10 +164,7 @@ class PlayheadFollower:
 
         Speakers are left to Blender's own scrubbing.
         """
-        from hnf_core.errors import HnfError
-
         from ..actuator.actuator_state import SPEAKERS, get_selected_output
-        from .controller import PLAYER
 
         if get_selected_output() == SPEAKERS or not scene.hnf.follow_timeline:
             return
@@ -180,8 +173,23 @@ class PlayheadFollower:
         if excerpt is None:
             return
         PREVIEW.sounding = ""
-        with contextlib.suppress(HnfError):
-            PLAYER.play(pad_with_silence(excerpt))
+        _play(excerpt)
+
+
+def _play(sound: Sound) -> None:
+    """Play a part of the timeline; where that fails the tab says why, and the timeline plays on."""
+    from hnf_core.errors import HnfError
+
+    from ..state.interface import redraw_tab
+    from .controller import PLAYER
+
+    before, PREVIEW.sound_problem = PREVIEW.sound_problem, ""
+    try:
+        PLAYER.play(pad_with_silence(sound))
+    except HnfError as error:
+        PREVIEW.sound_problem = str(error)
+    if PREVIEW.sound_problem != before:
+        redraw_tab()
 
 
 FOLLOWER = PlayheadFollower()
@@ -206,17 +214,17 @@ def pad_with_silence(sound: Sound) -> Sound:
 def list_placed_signals(scene: Any) -> list[Any]:
     """Return the valid signals of strokes that are not muted, with their start frames.
 
-    On the speakers, strokes with a strip or a speaker object of their own are left to Blender, or they would sound
-    twice.
+    On the output of Blender's own sound, strokes with a strip or a speaker object of their own are left to Blender, or
+    they would sound twice.
     """
-    from ..actuator.actuator_state import SPEAKERS, get_selected_output
+    from ..actuator.actuator_state import get_selected_output, shares_blender_output
     from ..props.scene_settings import list_cached_strokes
     from .controller import get_problem
     from .strips_and_speakers import find_sounding
 
-    placed, on_speakers = [], get_selected_output() == SPEAKERS
+    placed, is_shared = [], shares_blender_output(get_selected_output())
     for obj in list_cached_strokes(scene):
-        if on_speakers and find_sounding(obj, scene):
+        if is_shared and find_sounding(obj, scene):
             continue
         shown = PREVIEW.get_shown(obj.name)
         if shown is not None and not obj.hnf_stroke.mute and not get_problem(obj.name, scene):
