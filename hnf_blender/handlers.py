@@ -13,7 +13,7 @@ from .props.object_cache import CHANGES
 from .registration import add_handlers, remove_handlers
 from .state import interface
 from .state.session_state import STATE
-from .state.status_tracker import EVERYTHING, clear_trackers, process_changes
+from .state.status_tracker import EVERYTHING, clear_trackers, has_pending_checks, process_changes
 
 INTERVAL_S = 0.25
 """Interval of the timer [s]."""
@@ -75,7 +75,7 @@ def tick() -> float:
         return INTERVAL_S
     if any(interface.restore_active_stroke(window.scene) for window in windows):
         redraw_tab()
-    if not (STATE.dirty_names or any(STATE.statuses.values())):
+    if not (STATE.dirty_names or has_pending_checks() or any(STATE.statuses.values())):
         return INTERVAL_S
     if (
         any(STATE.statuses.values()) or any(list_cached_strokes(window.scene) for window in windows)

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..bridge.scene.object_size import is_visible
 from ..bridge.scene.scene_names import SceneNames, find_object
 from ..touch.report import Freshness, StrokeStatus
 from ..translations import tr
@@ -77,6 +78,7 @@ class StatusTracker:
         self._stamp: object = None
         self._settings: dict[str, object] = {}
         self._choices: dict[str, tuple[str, bool]] = {}
+        self._visible: dict[str, tuple[str, bool]] = {}
         self.mark_changed(EVERYTHING)
 
     @property
@@ -129,9 +131,10 @@ class StatusTracker:
         return {name for name, obj in objects.items() if obj is None or _is_affected(obj, names)}
 
     def _find_silent_changes(self, scene: Any) -> set[str]:
-        """Return the names of strokes and materials whose settings changed, which scripts do without a notification.
+        """Return the names of strokes and materials whose settings changed, and of surfaces that were hidden or shown.
 
-        A few strokes are compared at a time, since looking them up by name is slow with many objects.
+        Blender reports neither what scripts set nor what is hidden. A few strokes are compared at a time, since looking
+        them up by name is slow with many objects.
         """
         import bpy
 
@@ -145,6 +148,7 @@ class StatusTracker:
                 self._settings[name] = _read_stroke_settings(obj)
             if obj is None or self._settings[name] != previous:
                 changed.add(name if obj is None else obj.name)
+            changed |= self._find_hidden_or_shown(scene, name, obj, members)
         chosen_materials = {
             material.name: (material.hnf_touch.library, material.hnf_touch.height_as_authored)
             for material in bpy.data.materials
@@ -153,6 +157,20 @@ class StatusTracker:
         changed |= {name for name, _ in chosen_materials.items() ^ self._choices.items()}
         self._choices = chosen_materials
         return changed
+
+    def _find_hidden_or_shown(self, scene: Any, name: str, obj: Any, members: Any = None) -> set[str]:
+        """Return the name of the surface that a stroke touches, if it was hidden or shown since the last call."""
+        status = STATE.get_statuses(scene).get(name)
+        surface = None if obj is None else obj.hnf_stroke.surface
+        if surface is None and status is not None and status.object_name:
+            surface = find_object(scene, status.object_name, members)
+        if surface is None:
+            self._visible.pop(name, None)
+            return set()
+        layer = scene.view_layers.get(self.view_layer) or scene.view_layers[0]
+        seen = surface.name, is_visible(surface, layer)
+        before, self._visible[name] = self._visible.get(name, seen), seen
+        return {surface.name} if seen != before else set()
 
     def restrict(self, names: set[str]) -> None:
         """Drop queued strokes whose names are not in `names`."""
@@ -172,6 +190,7 @@ class StatusTracker:
             return STATE.get_statuses(scene).pop(name, None) is not None
         with suppress_change_tracking(view_layer):
             session = self._open_session(scene, view_layer)
+            session.invalidate(self._find_hidden_or_shown(scene, name, obj))
             surface = obj.hnf_stroke.surface
             if surface is not None and surface.mode != "EDIT" and not session.has_facts(surface):
                 _try_reading_surface(session, surface)
@@ -235,9 +254,16 @@ def process_changes(shown: Iterable[tuple[Any, Any]]) -> bool:
         else:
             _trackers[name].view_layer = layer.name
             _trackers[name].mark_changed(*dirty)
-        while not _trackers[name].is_idle and time.monotonic() - started < TICK_BUDGET_S:
+        while not _trackers[name].is_idle:
             changed = _trackers[name].check_next() or changed
+            if time.monotonic() - started > TICK_BUDGET_S:
+                break
     return changed
+
+
+def has_pending_checks() -> bool:
+    """Return whether strokes wait for a check that no tick had time for."""
+    return any(not tracker.is_idle for tracker in _trackers.values())
 
 
 def _remove_deleted_scenes() -> None:

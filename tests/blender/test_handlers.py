@@ -8,7 +8,7 @@ from builders import add_plane
 from job_scene import PLATE, line_stroke, small_scene
 
 from hnf_blender import handlers, preview
-from hnf_blender.jobs import bake_job
+from hnf_blender.jobs import bake_job, manager
 from hnf_blender.preview.preview_state import PREVIEW
 from hnf_blender.props.object_cache import CHANGES, STROKES
 from hnf_blender.props.scene_settings import has_strokes, list_cached_strokes, list_strokes
@@ -382,3 +382,65 @@ def test_refresh_fills_what_is_asked_for() -> None:
     assert found["Beside"].freshness is Freshness.BROKEN
     assert "hidden" in found["Along"].why
     assert "hidden" in found["Beside"].why
+
+
+@pytest.fixture
+def ticking(noting, monkeypatch):
+    """The window's timer, on a machine that is always too late."""
+    monkeypatch.setattr(status_tracker, "TICK_BUDGET_S", -1.0)
+    monkeypatch.setattr(manager, "is_preloaded", lambda: True)
+    STATE.clear()
+
+
+def tick_until_known() -> dict[str, tuple[Freshness, str]]:
+    for _ in range(50):
+        handlers.tick()
+    return {name: status[:2] for name, status in STATE.get_statuses(bpy.context.scene).items()}
+
+
+def look_afresh() -> dict[str, tuple[Freshness, str]]:
+    refresh_status(bpy.context.scene)
+    return {name: status[:2] for name, status in STATE.get_statuses(bpy.context.scene).items()}
+
+
+def test_a_slow_machine_learns_all_statuses(ticking) -> None:
+    """The first tick may have time for nothing but a surface, and nothing changes after it."""
+    plate, _ = small_scene()
+    for k in range(3):
+        line_stroke(f"More {k}", surface=plate)
+    STATE.dirty_names.clear()
+    STATE.dirty_names.add(EVERYTHING)
+    assert sorted(tick_until_known()) == ["Along", "More 0", "More 1", "More 2"]
+
+
+HIDING = {
+    "by its eye": lambda plate, is_hidden: plate.hide_set(is_hidden),
+    "in viewports": lambda plate, is_hidden: setattr(plate, "hide_viewport", is_hidden),
+    "in renders": lambda plate, is_hidden: setattr(plate, "hide_render", is_hidden),
+    "by its collection": lambda plate, is_hidden: setattr(plate.users_collection[0], "hide_render", is_hidden),
+    "excluded": lambda plate, is_hidden: setattr(
+        bpy.context.view_layer.layer_collection.children["Aside"], "exclude", is_hidden
+    ),
+}
+
+
+@pytest.mark.parametrize("is_baked", [True, False])
+@pytest.mark.parametrize("how", HIDING)
+def test_a_surface_hidden_or_shown_is_noticed(ticking, how, is_baked) -> None:
+    """Blender reports it for no object; the status is that of a fresh look."""
+    plate, _ = small_scene()
+    aside = bpy.data.collections.new("Aside")
+    bpy.context.scene.collection.children.link(aside)
+    aside.objects.link(plate)
+    bpy.context.scene.collection.objects.unlink(plate)
+    if is_baked:
+        bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    update()
+    STATE.dirty_names.add(EVERYTHING)
+    shown = tick_until_known()
+    for is_hidden in (True, False):
+        HIDING[how](plate, is_hidden)
+        STATE.dirty_names.clear()
+        seen = tick_until_known()
+        assert (seen == shown) is not is_hidden
+        assert seen == look_afresh()
