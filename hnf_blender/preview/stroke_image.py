@@ -53,8 +53,10 @@ HIGHEST_HZ = 1000.0
 """Upper end of the spectrogram's frequency axis [Hz]."""
 LOWEST_HZ = 20.0
 """Lower end of its logarithmic frequency axis [Hz]."""
-WAVE_ROWS, SPECTROGRAM_ROWS, ACTION_ROWS = (6, 114), (122, 258), (266, 334)
+WAVE_ROWS, SPECTROGRAM_ROWS, ACTION_ROWS = (24, 116), (122, 252), (276, 334)
 """Rows of the three tracks from the top [px]."""
+LABEL_ROWS = 18
+"""Rows above wave and action for their labels, so that these hide no curve [px]."""
 GLYPH_SCALE = 2
 """Pixels per dot; where text begins at even rows and columns, dots stay sharp at half the size."""
 FRAME_PX, PLAYHEAD_PX = 4, 2
@@ -130,9 +132,9 @@ def draw_stroke_image(signal: Signal, action: Action, style: ImageStyle) -> Rgba
     canvas = np.empty((SIZE_PX, SIZE_PX, 4), dtype=np.float32)
     canvas[..., :3], canvas[..., 3] = theme.back, 1.0
     inner = canvas[:, FRAME_PX:-FRAME_PX]
-    draw_wave(inner[slice(*WAVE_ROWS)], signal, theme, style.limit_m_s2, style.ghost)
+    draw_wave(inner[WAVE_ROWS[0] - LABEL_ROWS : WAVE_ROWS[1]], signal, theme, style.limit_m_s2, style.ghost)
     draw_spectrogram(inner[slice(*SPECTROGRAM_ROWS)], signal, theme, style.logarithmic)
-    draw_action(inner[slice(*ACTION_ROWS)], action, theme, style.ghost)
+    draw_action(inner[ACTION_ROWS[0] - LABEL_ROWS : ACTION_ROWS[1]], action, theme, style.ghost)
     for edge in (slice(FRAME_PX), slice(-FRAME_PX, None)):
         canvas[edge, :, :3] = canvas[:, edge, :3] = theme.faint
     return np.ascontiguousarray(canvas[::-1])
@@ -229,6 +231,7 @@ def round_up_nicely(value: float) -> float:
 
 def draw_wave(area: Rgba, signal: Signal, theme: Theme, limit_m_s2: float | None, ghost: Ghost | None = None) -> None:
     """Draw the acceleration [m/s²] over time, scaled to a round number above its peak, and a ghost behind it."""
+    labels, area = area[:LABEL_ROWS], area[LABEL_ROWS:]
     rows, width = area.shape[:2]
     waves = [(signal.samples, theme.wave)]
     if ghost is not None:
@@ -251,9 +254,9 @@ def draw_wave(area: Rgba, signal: Signal, theme: Theme, limit_m_s2: float | None
         for side in (limit_m_s2, -limit_m_s2):
             row = int(to_row(np.array(side)))
             area[row : row + 2, np.arange(width) % 12 < 8, :3] = theme.limit
-    draw_text(area, f"±{_format_value(scale)} m/s²", 4, 4, theme.ink, theme.back)
+    draw_text(labels, f"±{_format_value(scale)} m/s²", 4, 2, theme.ink, theme.back)
     if limit_m_s2 is not None:
-        draw_text(area, f"limit {_format_value(limit_m_s2)}", width - 4, 4, theme.limit, theme.back, right=True)
+        draw_text(labels, f"limit {_format_value(limit_m_s2)}", width - 4, 2, theme.limit, theme.back, right=True)
 
 
 def draw_spectrogram(area: Rgba, signal: Signal, theme: Theme, logarithmic: bool = False) -> None:
@@ -289,6 +292,7 @@ def draw_spectrogram(area: Rgba, signal: Signal, theme: Theme, logarithmic: bool
 
 def draw_action(area: Rgba, action: Action, theme: Theme, ghost: Ghost | None = None) -> None:
     """Draw force [N] and speed [mm/s] over time, each from 0 to a round number of its own, and a ghost's force."""
+    labels, area = area[:LABEL_ROWS], area[LABEL_ROWS:]
     rows, width = area.shape[:2]
     area[rows - 1, :, :3] = theme.faint
     texts = []
@@ -314,8 +318,8 @@ def draw_action(area: Rgba, action: Action, theme: Theme, ghost: Ghost | None = 
     ):
         draw_curve(values, scale, colour)
         texts.append((f"{_format_value(scale)} {unit}", colour))
-    draw_text(area, texts[1][0], 4, 4, texts[1][1], theme.back)
-    draw_text(area, texts[0][0], width - 4, 4, texts[0][1], theme.back, right=True)
+    draw_text(labels, texts[1][0], 4, 2, texts[1][1], theme.back)
+    draw_text(labels, texts[0][0], width - 4, 2, texts[0][1], theme.back, right=True)
 
 
 def map_heat_colours(shade: NDArray[np.float64], theme: Theme) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hnf_blender.preview import stroke_image
 from hnf_blender.preview.sound_device import (
     FULL_SCALE_M_S2,
     apply_monitor_gain,
@@ -16,8 +17,10 @@ from hnf_blender.preview.sound_device import (
     compute_monitor_gain,
 )
 from hnf_blender.preview.stroke_image import (
+    ACTION_ROWS,
     DARK,
     FRAME_PX,
+    LABEL_ROWS,
     LIGHT,
     PLAYHEAD_PX,
     SIZE_PX,
@@ -190,6 +193,23 @@ def test_the_playhead_is_one_line_within_the_frame(fraction, theme) -> None:
     assert len(changed) == PLAYHEAD_PX
     assert FRAME_PX <= changed[0] <= find_column(fraction) <= changed[-1] < SIZE_PX - FRAME_PX
     assert draw_playhead(plain, None, theme) is plain
+
+
+@pytest.mark.parametrize("theme", [DARK, LIGHT])
+@pytest.mark.parametrize("peak", [0.1, 1.9, 2.0, 40.0])
+def test_labels_hide_no_curve(monkeypatch, theme, peak) -> None:
+    """Without its labels the picture is another in their rows alone, where nothing else is, and in the spectrogram."""
+    style = ImageStyle(theme, 1.5, True, Ghost(tone(150.0, peak=3.0), hand(150)))
+    labelled = draw_stroke_image(tone(200.0, peak=peak), hand(), style)[::-1]
+    monkeypatch.setattr(stroke_image, "draw_text", lambda *_, **__: None)
+    bare = draw_stroke_image(tone(200.0, peak=peak), hand(), style)[::-1]
+    rows = np.zeros(SIZE_PX, dtype=bool)
+    for first, _ in (WAVE_ROWS, ACTION_ROWS):
+        rows[first - LABEL_ROWS : first] = True
+    assert (bare[rows, FRAME_PX:-FRAME_PX, :3] == np.array(theme.back, np.float32)).all()
+    rows[slice(*SPECTROGRAM_ROWS)] = True
+    assert np.array_equal(labelled[~rows], bare[~rows])
+    assert not np.array_equal(labelled[rows], bare[rows])
 
 
 def test_a_ghost_shows_where_it_is_the_larger_one() -> None:
