@@ -250,6 +250,8 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
                 raise SceneError(
                     "there is no such mesh in this scene.", where=f"object '{self.surface}'", remedy="Name another."
                 )
+            if not surface.visible_get(view_layer=context.view_layer):
+                raise SceneError("it is hidden.", where=f"object '{self.surface}'", remedy="Show it, then draw on it.")
             return surface
         if len(points) == 0:
             raise SceneError("the stroke touches no surface.", remedy="Draw on a visible mesh.")

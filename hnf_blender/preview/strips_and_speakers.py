@@ -79,14 +79,18 @@ def has_linked_strips(scene: Any) -> bool:
     return any(NAME_PROPERTY in strip for strip, _, _ in iter_strips(scene))
 
 
-def find_sounding(stroke: Any, scene: Any) -> list[Any]:
-    """Return the strips and speakers of a stroke that Blender itself sounds while the timeline plays."""
+def list_audible(scene: Any) -> list[Any]:
+    """Return the strips and speakers that Blender itself sounds while the timeline plays."""
     if not scene.use_audio:
         return []
     audible = [strip for strip, _, is_muted in iter_strips(scene)
                if strip.type == "SOUND" and not is_muted and strip.volume > 0.0]  # fmt: skip
-    audible += [speaker for speaker in _list_speakers(scene) if _is_audible(speaker, scene)]
-    marked = [candidate for candidate in audible if NAME_PROPERTY in candidate]
+    return audible + [speaker for speaker in _list_speakers(scene) if _is_audible(speaker, scene)]
+
+
+def find_sounding(stroke: Any, scene: Any) -> list[Any]:
+    """Return the strips and speakers of a stroke that Blender itself sounds while the timeline plays."""
+    marked = [candidate for candidate in list_audible(scene) if NAME_PROPERTY in candidate]
     return find_linked_strips(stroke, scene, marked) if marked else []
 
 

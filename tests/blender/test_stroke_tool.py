@@ -167,6 +167,11 @@ def test_a_surface_that_cannot_be_touched_is_named():
     add_plane("Ghost").hide_render = True
     with pytest.raises(RuntimeError, match="'Ghost': it is hidden in renders"):
         bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=samples(line()), surface="Ghost")
+    for how in ("hide_viewport", "eye"):
+        plane = add_plane(f"Unseen {how}")
+        plane.hide_set(True) if how == "eye" else setattr(plane, how, True)
+        with pytest.raises(RuntimeError, match=f"'{plane.name}': it is hidden"):
+            bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=samples(line()), surface=plane.name)
     with pytest.raises(RuntimeError, match="no such mesh"):
         bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=samples(line()), surface="Nobody")
 
