@@ -98,18 +98,21 @@ def _is_audible(speaker: Any, scene: Any) -> bool:
     """Return whether Blender sounds a speaker.
 
     It needs an NLA strip that is not muted (a muted track counts for nothing), and to be evaluated: excluded or hidden
-    from all viewports it is silent, hidden by its eye it is not.
+    from all viewports it is silent, hidden by its eye it is not. What counts is its evaluated copy, which Blender does
+    not update when a speaker is muted.
     """
     import bpy
 
+    windows = bpy.context.window_manager.windows
+    layer = next((window.view_layer for window in windows if window.scene == scene), scene.view_layers[0])
+    if layer.depsgraph is not None:
+        speaker = speaker.evaluated_get(layer.depsgraph)
+        if not speaker.is_evaluated:
+            return False
     data, animation = speaker.data, speaker.animation_data
     if data.sound is None or data.muted or data.volume <= 0.0 or animation is None:
         return False
-    if all(strip.mute for track in animation.nla_tracks for strip in track.strips):
-        return False
-    windows = bpy.context.window_manager.windows
-    layer = next((window.view_layer for window in windows if window.scene == scene), scene.view_layers[0])
-    return layer.depsgraph is None or bool(speaker.evaluated_get(layer.depsgraph).is_evaluated)
+    return not all(strip.mute for track in animation.nla_tracks for strip in track.strips)
 
 
 def mute_others(stroke: Any, scene: Any, kept: Any) -> None:
@@ -118,6 +121,7 @@ def mute_others(stroke: Any, scene: Any, kept: Any) -> None:
         if candidate != kept:
             if hasattr(candidate, "data"):
                 candidate.data.muted = True
+                candidate.data.update_tag()  # Blender would sound it on.
             else:
                 candidate.mute = True
 

@@ -66,9 +66,11 @@ def test_a_strip_or_speaker_takes_the_place_of_following(stroke, sound) -> None:
     scene = bpy.context.scene
     assert followed(scene) == 1
     strip, speaker = add_strip(stroke, sound), add_speaker(stroke, sound)
+    bpy.context.view_layer.update()
     strips_and_speakers.mute_others(stroke, scene, speaker)
     assert (strip.mute, speaker.data.muted, followed(scene)) == (True, False, 0)
-    speaker.data.muted = True
+    strips_and_speakers.mute_others(stroke, scene, strip)
+    bpy.context.view_layer.update()
     assert followed(scene) == 1
     strip.mute = False
     assert followed(scene) == 0
@@ -195,9 +197,19 @@ def test_a_stroke_is_followed_where_its_strip_is_not_heard(stroke, tone, tmp_pat
 
 @pytest.mark.parametrize("state", SPEAKER_STATES)
 def test_a_stroke_is_followed_where_its_speaker_is_not_heard(stroke, tone, tmp_path, state) -> None:
-    SPEAKER_STATES[state](add_speaker(stroke, tone))
+    speaker = add_speaker(stroke, tone)
+    assert heard(tmp_path)
+    SPEAKER_STATES[state](speaker)
     is_heard = heard(tmp_path)
     assert followed(bpy.context.scene) == (0 if is_heard else 1)
+
+
+def test_a_speaker_that_gives_way_is_silent(stroke, tone, tmp_path) -> None:
+    """Blender sounds a speaker on that is muted alone."""
+    scene, speaker = bpy.context.scene, add_speaker(stroke, tone)
+    assert heard(tmp_path)
+    strips_and_speakers.mute_others(stroke, scene, None)
+    assert (heard(tmp_path), followed(scene), speaker.data.muted) == (False, 1, True)
 
 
 @pytest.mark.parametrize("gain_db", [-20.0, 0.0, 34.0])

@@ -5,10 +5,14 @@ import time
 from pathlib import Path
 
 import bpy
-from drive.addon import force_keys, freshness, heard, kept, keys_of, ours, start_bake, state, strokes
+from drive import buttons
+from drive.addon import force_keys, freshness, heard, kept, keys_of, ours, state, strokes
+from drive.stage import MissedError
 
 INSTALLED = "no"
-SCREEN = "1280x1500"  # the whole sidebar at once
+SCREEN = "1280x1100"
+COLUMNS = (0.3, 0.5, 0.66, 0.7, 0.74, 0.78, 0.82)
+"""Where buttons are looked for, from left to right of the sidebar."""
 SHARE = Path("/share")
 EXPORTED = SHARE / "exported"
 FIRST_SOUND_S = 180.0
@@ -17,6 +21,22 @@ FIRST_SOUND_S = 180.0
 
 def stroke():
     return strokes()[0]
+
+
+def press(stage, operator: str):
+    """Press a button of the tab with the mouse. MissedError where it is not seen without scrolling."""
+    began = time.monotonic()
+    for across in COLUMNS:
+        try:
+            at = yield from buttons.find(stage, f"bpy.ops.{operator}(", across=across)
+        except MissedError:
+            continue
+        stage.memory["began"] += time.monotonic() - began  # an eye finds it at once
+        yield from stage.click(at)
+        stage.expect(f"{operator} is seen without scrolling", True)
+        return
+    stage.photograph(f"unseen-{operator}")
+    stage.require(f"{operator} is seen without scrolling", False)
 
 
 def check_the_zip_installs(stage):
@@ -54,8 +74,7 @@ def check_a_scene_opens(stage):
 
 
 def check_the_tool_draws_a_stroke(stage):
-    with stage.over():
-        bpy.ops.hnf.stroke_tool()
+    yield from press(stage, "hnf.stroke_tool")
     yield 0.3
     tool = bpy.context.workspace.tools.from_space_view3d_mode("OBJECT").idname
     stage.require("the tool is taken", tool == "hnf.stroke", tool)
@@ -78,7 +97,7 @@ def check_the_tool_draws_a_stroke(stage):
 
 
 def check_it_bakes_while_the_window_lives(stage):
-    start_bake(stage)
+    yield from press(stage, "hnf.bake")
     yield from stage.until("the job is shown", lambda: state().job is not None, 5.0)
     yield 1.0
     stage.photograph("05-baking")
@@ -101,8 +120,7 @@ def check_the_preview_is_seen(stage):
 
 def check_it_is_played(stage):
     stage.require("a sound device, one that plays to nowhere", stage.take_sound_device() != "None")
-    with stage.over():
-        bpy.ops.hnf.preview_play()
+    yield from press(stage, "hnf.preview_play")
     player = ours("preview.controller").PLAYER
     yield from stage.until("it sounds", lambda: player.is_playing, 5.0)
     first = time.monotonic() - stage.memory["began"]
@@ -112,8 +130,7 @@ def check_it_is_played(stage):
     yield 0.3
     stage.expect("it goes on", player.position_s > before, (before, player.position_s))
     yield from stage.picture("08-playing", settle=0.2)
-    with stage.over():
-        bpy.ops.hnf.preview_stop()
+    yield from press(stage, "hnf.preview_stop")
     stage.expect("it stops", not player.is_playing)
 
 
@@ -131,10 +148,11 @@ def check_a_view_that_fills_the_window_stays_one(stage):
 
 
 def check_the_graph_editor_changes_the_force(stage):
-    with stage.over():
-        bpy.ops.hnf.force_graph("INVOKE_DEFAULT", True)
-    yield 1.0
-    stage.require("a Graph Editor is open", any(area.type == "GRAPH_EDITOR" for area in stage.areas()))
+    yield from press(stage, "hnf.preview_ab")
+    yield from press(stage, "hnf.force_graph")
+    yield from stage.until(
+        "a Graph Editor is open", lambda: any(area.type == "GRAPH_EDITOR" for area in stage.areas()), 10.0
+    )
     yield from stage.until("a newton has room in it", lambda: 1.0 < newtons_shown(stage) < 10.0, 10.0)
     yield from stage.picture("09-graph-editor")
     keys = force_keys(stroke())
@@ -157,6 +175,9 @@ def check_the_graph_editor_changes_the_force(stage):
     whole = time.monotonic() - stage.memory["began"]
     stage.measured("from the zip to the changed force, with nobody to read or to aim", whole, "s")
     yield from stage.until("nothing is to bake", lambda: freshness(stroke().name) == "force", 5.0)
+    yield from press(stage, "hnf.preview_play")
+    yield from stage.until("it is heard", lambda: ours("preview.controller").PLAYER.is_playing, 5.0)
+    yield from press(stage, "hnf.preview_stop")
     yield from stage.picture("10-other-force")
     again = heard(stroke().name).signal.samples
     stage.expect("as long as before", len(again) == len(first))
