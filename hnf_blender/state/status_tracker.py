@@ -77,7 +77,7 @@ class StatusTracker:
         self._session: Session | None = None
         self._stamp: object = None
         self._settings: dict[str, object] = {}
-        self._choices: dict[str, tuple[str, bool]] = {}
+        self._choices: set[tuple[str, str, str, bool]] = set()
         self._visible: dict[str, tuple[str, bool]] = {}
         self.mark_changed(EVERYTHING)
 
@@ -149,13 +149,13 @@ class StatusTracker:
             if obj is None or self._settings[name] != previous:
                 changed.add(name if obj is None else obj.name)
             changed |= self._find_hidden_or_shown(scene, name, obj, members)
-        chosen_materials = {
-            material.name: (material.hnf_touch.library, material.hnf_touch.height_as_authored)
-            for material in bpy.data.materials
+        choices = {
+            (material.name, material.name_full, material.hnf_touch.library, material.hnf_touch.height_as_authored)
+            for material in bpy.data.materials  # A linked one may have the name of another.
             if material.hnf_touch.library or material.hnf_touch.height_as_authored
         }
-        changed |= {name for name, _ in chosen_materials.items() ^ self._choices.items()}
-        self._choices = chosen_materials
+        changed |= {choice[0] for choice in choices ^ self._choices}
+        self._choices = choices
         return changed
 
     def _find_hidden_or_shown(self, scene: Any, name: str, obj: Any, members: Any = None) -> set[str]:

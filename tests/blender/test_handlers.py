@@ -444,3 +444,23 @@ def test_a_surface_hidden_or_shown_is_noticed(ticking, how, is_baked) -> None:
         seen = tick_until_known()
         assert (seen == shown) is not is_hidden
         assert seen == look_afresh()
+
+
+def test_a_choice_is_noticed_beside_a_linked_namesake(ticking, tmp_path) -> None:
+    """Of two materials of one name the linked one has a choice, too."""
+    plate, _ = small_scene()
+    material = plate.active_material
+    material.hnf_touch.library = "oak-wood"
+    library = tmp_path / "library.blend"
+    bpy.data.libraries.write(str(library), {material})
+    with bpy.data.libraries.load(str(library), link=True) as (there, here):
+        here.materials = there.materials
+    assert [each.name for each in bpy.data.materials].count(material.name) == 2
+    bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    update()
+    STATE.dirty_names.add(EVERYTHING)
+    assert tick_until_known()["Along"][0] is Freshness.FRESH
+    material.hnf_touch.library = ""
+    STATE.dirty_names.clear()
+    assert tick_until_known()["Along"][0] is Freshness.STALE
+    assert tick_until_known() == look_afresh()
