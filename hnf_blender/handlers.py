@@ -75,7 +75,8 @@ def tick() -> float:
         return INTERVAL_S
     if any(interface.restore_active_stroke(window.scene) for window in windows):
         redraw_tab()
-    if not (STATE.dirty_names or has_pending_checks() or any(STATE.statuses.values())):
+    shown = [window.scene for window in windows]
+    if not (STATE.dirty_names or has_pending_checks(shown) or any(STATE.statuses.values())):
         return INTERVAL_S
     if (
         any(STATE.statuses.values()) or any(list_cached_strokes(window.scene) for window in windows)

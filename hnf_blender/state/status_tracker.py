@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..bridge.scene.object_size import is_visible
 from ..bridge.scene.scene_names import SceneNames, find_object
+from ..props.scene_settings import list_cached_strokes
 from ..touch.report import Freshness, StrokeStatus
 from ..translations import tr
 from .session_state import STATE, suppress_change_tracking
@@ -78,7 +79,8 @@ class StatusTracker:
         self._stamp: object = None
         self._settings: dict[str, object] = {}
         self._choices: set[tuple[str, str, str, bool]] = set()
-        self._visible: dict[str, tuple[str, bool]] = {}
+        self._visible: dict[str, tuple[tuple[str, bool], ...]] = {}
+        self._baked_surfaces: dict[str, str] = {}
         self.mark_changed(EVERYTHING)
 
     @property
@@ -159,18 +161,23 @@ class StatusTracker:
         return changed
 
     def _find_hidden_or_shown(self, scene: Any, name: str, obj: Any, members: Any = None) -> set[str]:
-        """Return the name of the surface that a stroke touches, if it was hidden or shown since the last call."""
-        status = STATE.get_statuses(scene).get(name)
+        """Return the names of a stroke's surfaces if any of them was hidden or shown since the last call.
+
+        They are the one that it touches and, where it names none, the one that it touched when it was baked.
+        """
         surface = None if obj is None else obj.hnf_stroke.surface
-        if surface is None and status is not None and status.object_name:
-            surface = find_object(scene, status.object_name, members)
-        if surface is None:
+        surfaces = [] if surface is None else [surface]
+        if obj is not None and surface is None:
+            status = STATE.get_statuses(scene).get(name)
+            names = {"" if status is None else status.object_name, self._baked_surfaces.get(name, "")} - {""}
+            surfaces = [found for each in sorted(names) if (found := find_object(scene, each, members)) is not None]
+        if not surfaces:
             self._visible.pop(name, None)
             return set()
         layer = scene.view_layers.get(self.view_layer) or scene.view_layers[0]
-        seen = surface.name, is_visible(surface, layer)
+        seen = tuple((each.name, is_visible(each, layer)) for each in surfaces)
         before, self._visible[name] = self._visible.get(name, seen), seen
-        return {surface.name} if seen != before else set()
+        return {each.name for each in surfaces} if seen != before else set()
 
     def restrict(self, names: set[str]) -> None:
         """Drop queued strokes whose names are not in `names`."""
@@ -190,6 +197,8 @@ class StatusTracker:
             return STATE.get_statuses(scene).pop(name, None) is not None
         with suppress_change_tracking(view_layer):
             session = self._open_session(scene, view_layer)
+            if obj.hnf_stroke.surface is None:
+                self._baked_surfaces[name] = _get_baked_surface(obj)
             session.invalidate(self._find_hidden_or_shown(scene, name, obj))
             surface = obj.hnf_stroke.surface
             if surface is not None and surface.mode != "EDIT" and not session.has_facts(surface):
@@ -261,9 +270,10 @@ def process_changes(shown: Iterable[tuple[Any, Any]]) -> bool:
     return changed
 
 
-def has_pending_checks() -> bool:
-    """Return whether strokes wait for a check that no tick had time for."""
-    return any(not tracker.is_idle for tracker in _trackers.values())
+def has_pending_checks(scenes: Iterable[Any]) -> bool:
+    """Return whether strokes wait for a check: no tick had time for it, or the scene was not shown before."""
+    unknown = (scene for scene in scenes if scene.name not in _trackers)
+    return any(not tracker.is_idle for tracker in _trackers.values()) or any(map(list_cached_strokes, unknown))
 
 
 def _remove_deleted_scenes() -> None:
@@ -319,6 +329,19 @@ def _get_surface_name(calls: SceneNames, obj: Any, known: StrokeStatus | None) -
     if surface is not None:
         return calls.get_name(surface)
     return "" if known is None else known.object_name
+
+
+def _get_baked_surface(obj: Any) -> str:
+    """Return the name of the surface that a stroke touched when it was baked; "" if it has no bake."""
+    from hnf_core.errors import HnfError
+
+    from ..touch.stroke_bake import load_bake
+
+    try:
+        bake = load_bake(obj)
+    except HnfError:
+        return ""
+    return "" if bake is None else str(bake.facts.get("object", ""))
 
 
 def _try_reading_surface(session: Session, surface: Any) -> None:

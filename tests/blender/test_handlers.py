@@ -464,3 +464,31 @@ def test_a_choice_is_noticed_beside_a_linked_namesake(ticking, tmp_path) -> None
     STATE.dirty_names.clear()
     assert tick_until_known()["Along"][0] is Freshness.STALE
     assert tick_until_known() == look_afresh()
+
+
+def test_the_baked_surface_is_watched_after_the_stroke_lost_it(ticking) -> None:
+    """Another one is the nearest now; hidden, the one of the bake makes it play as it was baked."""
+    plate, stroke = small_scene()
+    bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
+    stroke.hnf_stroke.surface = None
+    add_plane("Nearer", z=1e-5)
+    update()
+    STATE.dirty_names.add(EVERYTHING)
+    tick_until_known()
+    plate.hide_viewport = True
+    STATE.dirty_names.clear()
+    assert tick_until_known() == look_afresh()
+
+
+def test_a_scene_that_is_shown_again_is_looked_at(ticking) -> None:
+    """From an empty scene, of which nothing is known, to one with strokes; Blender reports no change."""
+    small_scene()
+    window, first = bpy.context.window_manager.windows[0], bpy.context.scene
+    update()
+    window.scene = bpy.data.scenes.new("Empty")
+    STATE.dirty_names.clear()
+    for _ in range(5):
+        handlers.tick()
+    window.scene = first
+    STATE.dirty_names.clear()
+    assert sorted(tick_until_known()) == ["Along"]
