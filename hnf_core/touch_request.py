@@ -109,6 +109,8 @@ class TouchRequest:
     tactile_map : str
         Network D_φ that predicts tactile maps: a word of `tactile.diffusion.weights.SHIPPED_WEIGHTS`, or a file; "" for
         the default.
+    pictures : bool
+        Draw a picture of each stroke.
     """
 
     scene: Path | None
@@ -124,6 +126,7 @@ class TouchRequest:
     height_as_authored: bool = False
     sensor: str = "gelsight"
     tactile_map: str = ""
+    pictures: bool = True
 
     @property
     def folder(self) -> Path:

@@ -35,7 +35,7 @@ from ..bridge.scene.scene_names import find_object
 from ..bridge.shader.closures import ReliefSource
 from .bake_patches import PATCH_PIXELS
 from .material_choice import CHOSEN_BY_ARTIST, format_own_relief_note, format_stated_note
-from .overview import MAX_STROKE_VIEWS
+from .overview import MAX_STROKE_VIEWS, MIN_SHARING_STROKES
 from .report import REPORT_NAME, SCHEMA, Failed, Skipped, StrokeReport, add_option_hint
 from .session import GatheredJobs, Session, StrokeJob
 
@@ -87,12 +87,13 @@ def _expand_tiles(path: Path) -> list[Path]:
 
 
 class RerunReason(StrEnum):
-    """Reason to write an earlier run's baked .blend again: unfinished, changed scene file, other strokes, or none."""
+    """Reason to write an earlier run's .blend again: unfinished, changed file, other strokes, no pictures, or none."""
 
     NOTHING = ""
     UNFINISHED = "unfinished"
     CHANGED = "changed"
     STROKES = "strokes"
+    PICTURES = "pictures"
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,11 @@ class PreviousRun:
         if folder is None:
             return {}
         jobs = list(jobs)
-        intact = [entry for entry in _separate_shared_wavs(self.strokes) if _is_intact(entry, folder)]
+        intact = [
+            _forget_lost_picture(entry, folder)
+            for entry in _separate_shared_wavs(self.strokes)
+            if _is_intact(entry, folder)
+        ]
         by_name = {(entry.key, entry.name): entry for entry in intact}
         fresh = {job.name: by_name[job.key, job.name] for job in jobs if (job.key, job.name) in by_name}
         claimed = {entry.name for entry in fresh.values()}
@@ -140,17 +145,22 @@ class PreviousRun:
         """Return True if the earlier run had a stroke of this name."""
         return any(stroke.name == name for stroke in self.strokes)
 
-    def get_rerun_reason(self, jobs: Iterable[StrokeJob], source: str, blend: Path) -> RerunReason:
+    def get_rerun_reason(
+        self, jobs: Iterable[StrokeJob], source: str, blend: Path, pictured: Iterable[StrokeReport] = ()
+    ) -> RerunReason:
         """Return why the baked .blend must be written again: NOTHING if the scene's files and strokes are the same.
 
-        `source` is the hash of the scene's files now, `blend` the path of the baked .blend.
+        `source` is the hash of the scene's files now, `blend` the path of the baked .blend, and `pictured` are the
+        fresh strokes of which each must have a picture.
         """
         if self.source == "" or not blend.is_file():
             return RerunReason.UNFINISHED
         if self.source != source:
             return RerunReason.CHANGED
         previous_strokes = {(stroke.key, stroke.name) for stroke in self.strokes}
-        return RerunReason.NOTHING if previous_strokes == {(job.key, job.name) for job in jobs} else RerunReason.STROKES
+        if previous_strokes != {(job.key, job.name) for job in jobs}:
+            return RerunReason.STROKES
+        return RerunReason.NOTHING if all(stroke.picture for stroke in pictured) else RerunReason.PICTURES
 
 
 def read_previous_run(folder: Path | None) -> PreviousRun:
@@ -220,25 +230,31 @@ def _separate_shared_wavs(strokes: Iterable[StrokeReport]) -> list[StrokeReport]
     ]
 
 
-def _get_file_names(stroke: StrokeReport) -> tuple[str, str]:
-    return stroke.wav, stroke.picture
+def _get_file_names(stroke: StrokeReport) -> tuple[str, ...]:
+    return (stroke.wav, stroke.picture) if stroke.picture else (stroke.wav,)
 
 
 def _is_intact(entry: StrokeReport, folder: Path) -> bool:
-    """Return True if a report entry's WAV still has the hash it was written with, and its plot exists."""
+    """Return True if a report entry's WAV still has the hash it was written with."""
     if Path(entry.wav).name != entry.wav:
         return False
     try:
-        return content_hash((folder / entry.wav).read_bytes()) == entry.wav_hash and (folder / entry.picture).is_file()
+        return content_hash((folder / entry.wav).read_bytes()) == entry.wav_hash
     except OSError:
         return False
+
+
+def _forget_lost_picture(entry: StrokeReport, folder: Path) -> StrokeReport:
+    """Return a report entry that names no picture if the one it names is not there."""
+    is_there = Path(entry.picture).name == entry.picture and (folder / entry.picture).is_file()
+    return entry if is_there else replace(entry, picture="", picture_key="")
 
 
 RENDERS_PER_CLOSEUP = 2
 """Maximum number of renders of a close-up; see `CloseUpRenderer`."""
 PROCEDURAL_CLOSEUP_SECONDS, IMAGE_CLOSEUP_SECONDS = 0.7, 0.2
 """Time of a close-up with all pixels, and of one for which the first pass nearly suffices [s]."""
-PREDICTION_SECONDS, PLOT_SECONDS, SYNTHESIS_SECONDS = 0.1, 1.8, 0.4
+PREDICTION_SECONDS, PLOT_SECONDS, SYNTHESIS_SECONDS = 0.1, 0.5, 0.4
 """Rough times on two cores, for the estimate only [s]."""
 TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
 """Assumed length of a stroke's path, and distance between patches [m]."""
@@ -247,6 +263,7 @@ RERUN_MESSAGES = {
     RerunReason.UNFINISHED: "The baked .blend is not there, or the earlier run did not finish it",
     RerunReason.CHANGED: "The scene's file has changed since",
     RerunReason.STROKES: "The earlier run had other strokes",
+    RerunReason.PICTURES: "Some of them have no picture",
 }
 
 
@@ -365,6 +382,8 @@ class Plan:
         Upper bound for the plots of fresh strokes that are drawn again.
     again : RerunReason
         Reason why the .blend of an earlier run with fresh strokes is written again.
+    with_pictures : bool
+        False if no pictures are wanted.
     """
 
     needed: tuple[PlannedBake, ...]
@@ -375,19 +394,25 @@ class Plan:
     probes: tuple[PlannedQuery, ...] = ()
     pictures: int = 0
     again: RerunReason = RerunReason.NOTHING
+    with_pictures: bool = True
+
+    @property
+    def plots(self) -> int:
+        """Upper bound for the pictures of strokes that are drawn."""
+        return len(self.needed) + self.pictures if self.with_pictures else 0
 
     @property
     def renders(self) -> int:
         """Upper bound for the number of renders.
 
-        Each close-up takes two, and each slot with a relief one more, which chooses the sampling. Of the views in the
-        plots, the one by the scene's camera is shared, and each stroke may need one of its own.
+        Each close-up takes two, and each slot with a relief one more, which chooses the sampling. The views in the
+        plots are shared, but each stroke may need one of its own.
         """
-        plots = len(self.needed) + self.pictures
         slots = [slot for entry in self.needed for slot in entry.slots]
         slots += [query.slot for query in self.probes if query.slot is not None and query.close_ups]
+        plot_views = MAX_STROKE_VIEWS * self.plots + min(1, self.plots) + self.plots // MIN_SHARING_STROKES
         looks = sum(slot.route is Route.MEASURED for slot in slots)
-        return RENDERS_PER_CLOSEUP * self.close_ups + looks + MAX_STROKE_VIEWS * plots + min(1, plots)
+        return RENDERS_PER_CLOSEUP * self.close_ups + looks + plot_views
 
     @property
     def close_ups(self) -> int:
@@ -402,13 +427,12 @@ class Plan:
     @property
     def seconds(self) -> float:
         """Estimated time of the run [s]."""
-        stroke_seconds = PLOT_SECONDS + SYNTHESIS_SECONDS
         closeup_seconds = sum(entry.patches * estimate_closeup_seconds(entry.slots) for entry in self.needed)
         closeup_seconds += sum(
             query.close_ups * estimate_closeup_seconds(() if query.slot is None else (query.slot,))
             for query in self.probes
         )
-        total_stroke_seconds = len(self.needed) * stroke_seconds + self.pictures * PLOT_SECONDS
+        total_stroke_seconds = len(self.needed) * SYNTHESIS_SECONDS + self.plots * PLOT_SECONDS
         return closeup_seconds + self.predictions * PREDICTION_SECONDS + total_stroke_seconds
 
     def as_json(self) -> str:
@@ -423,10 +447,13 @@ class Plan:
 
     def _format_cost(self) -> str:
         """Format the upper bounds of close-ups, renders and predictions, and the estimated time."""
-        parts = [pluralize(self.close_ups, "close-up"), pluralize(len(self.needed) + self.pictures, "picture")]
+        parts = [pluralize(self.close_ups, "close-up")]
+        if self.with_pictures:
+            parts.append(pluralize(self.plots, "picture"))
         if self.predictions:
             parts.append(f"{pluralize(self.predictions, 'relief')} estimated from pictures")
-        return f"at most {', '.join(parts[:-1])} and {parts[-1]}, about {self.seconds:.0f} s"
+        listed = " and ".join(filter(None, [", ".join(parts[:-1]), parts[-1]]))
+        return f"at most {listed}, about {self.seconds:.0f} s"
 
     def _format_plot_count(self) -> str:
         if not self.pictures:
@@ -650,14 +677,18 @@ def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, s
         needed.append(PlannedBake(job.name, job.object_name, shader, estimate_max_patches(length), why, routes))
     folder, rerun_reason = session.request.out, RerunReason.NOTHING
     if fresh and folder is not None:
-        rerun_reason = previous.get_rerun_reason(gathered.jobs, source, folder / get_blend_name(session))
+        pictured = fresh_entries.values() if session.request.pictures else ()
+        rerun_reason = previous.get_rerun_reason(gathered.jobs, source, folder / get_blend_name(session), pictured)
     to_bake = [job for job in gathered.jobs if job.name not in fresh_entries]
     notes = (*gathered.notes, *describe_stated_heights(session, to_bake))
     # If the file is the same, only a plot without a key may be outdated.
-    pictures = sum(previous.source != source or not entry.picture_key for entry in fresh_entries.values())
+    pictures = sum(
+        session.request.pictures and (previous.source != source or not entry.picture_key)
+        for entry in fresh_entries.values()
+    )
     return Plan(
         tuple(needed), tuple(fresh), tuple(gathered.skipped), tuple(gathered.failed), notes,
-        pictures=pictures, again=rerun_reason,
+        pictures=pictures, again=rerun_reason, with_pictures=session.request.pictures,
     )  # fmt: skip
 
 

@@ -1,29 +1,30 @@
-"""Write the files of a stroke, WAV and plot, and the baked .blend of a run."""
+"""Write the files of a stroke, its WAV and then its picture, and the baked .blend of a run."""
 
 from __future__ import annotations
 
 import itertools
 import re
 import unicodedata
-from collections.abc import Container, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hnf_core.action.action import Action
+from hnf_core.action.contacts import action_from_contacts
 from hnf_core.errors import FileError
+from hnf_core.export.plots.figure import MapThumbnail, average_squares, choose_thumbnail_step, make_thumbnail
 from hnf_core.export.plots.stroke_figure import StrokeView, write_stroke_figure
 from hnf_core.export.wav import encode_wav, read_wav
 from hnf_core.files import content_hash, write_atomically, write_bytes
 from hnf_core.material.fuse import routes_by_band
-from hnf_core.signal import Signal
 
 from ..bridge.scene.temp_scene import suppress_output
 from .bake_patches import get_encoder_name, get_resolved_wavelength, get_widest_map
 from .baked_stroke import BakedStroke
 from .material_choice import SlotMaterial, format_certainty, round_likely
+from .patch_cache import PatchRecord
 from .report import StrokeReport
 from .session import StrokeJob
 from .synthesise import (
@@ -31,21 +32,15 @@ from .synthesise import (
     add_provenance,
     compute_known_shares,
     compute_mean_share,
+    drop_maps,
     get_signal_facts,
-    make_stroke_input,
 )
 
 
-def write_stroke_files(
-    folder: Path,
-    job: StrokeJob,
-    baked: BakedStroke,
-    synthesised: SynthesisedStroke,
-    view: StrokeView,
-    used_names: Container[str] = (),
-    picture_key: str = "",
+def write_stroke_wav(
+    folder: Path, job: StrokeJob, baked: BakedStroke, synthesised: SynthesisedStroke, used_names: Container[str] = ()
 ) -> StrokeReport:
-    """Write a stroke's WAV and its plot, each atomically.
+    """Write a stroke's WAV, atomically; return its report entry, which names no picture yet.
 
     Parameters
     ----------
@@ -57,17 +52,12 @@ def write_stroke_files(
         Baked stroke.
     synthesised : SynthesisedStroke
         Its signal.
-    view : StrokeView
-        Rendered view with the path.
     used_names : container of str, optional
         WAV files of the run's other strokes.
-    picture_key : str, optional
-        Hash of the view, for the entry.
 
     Returns
     -------
     StrokeReport
-        The stroke's entry of the report.
     """
     main, patch = baked.main_material, baked.main_patch
     record = baked.records[patch]
@@ -81,8 +71,6 @@ def write_stroke_files(
         candidate for candidate in iter_numbered_stems(make_file_stem(job.name)) if f"{candidate}.wav" not in used_names
     )
     write_bytes(folder / f"{stem}.wav", data)
-    confidence = round(synthesised.confidence, 4)
-    _plot_stroke(folder / f"{stem}.png", job, baked, synthesised.action, signal, confidence, view)
     return StrokeReport(
         name=job.name,
         object=job.object_name,
@@ -97,10 +85,10 @@ def write_stroke_files(
         height_source=facts["height_source"],
         height_peak_to_peak_m=None if record.height is None else record.height_peak_to_peak_m,
         wav=f"{stem}.wav",
-        picture=f"{stem}.png",
+        picture="",
         duration_s=round(signal.duration_s, 6),
         rms_m_s2=signal.rms,
-        confidence=confidence,
+        confidence=round(synthesised.confidence, 4),
         probe=baked.stroke.probe,
         seed=job.seed,
         fresh=False,
@@ -109,7 +97,6 @@ def write_stroke_files(
         warnings=synthesised.warnings,
         encoder=get_encoder_name(record),
         tactile_map_weights="" if record.predicted is None else record.predicted.weights,
-        picture_key=picture_key,
         likely=round_likely(main),
         materials=_describe_patches(baked),
         off_surface=round(baked.off_surface, 4),
@@ -158,34 +145,98 @@ def _describe_objects(baked: BakedStroke, synthesised: SynthesisedStroke) -> lis
     return described
 
 
-def redraw_stroke_plot(
-    folder: Path, entry: StrokeReport, job: StrokeJob, baked: BakedStroke, view: StrokeView, picture_key: str
-) -> StrokeReport:
-    """Write a new plot of a stroke whose signal is still valid; return its report entry with the new `picture_key`."""
-    signal = read_wav(folder / entry.wav)
-    _plot_stroke(folder / entry.picture, job, baked, make_stroke_input(baked).action, signal, entry.confidence, view)
-    return replace(entry, picture_key=picture_key)
+@dataclass(frozen=True)
+class PendingPicture:
+    """A picture that is not drawn yet, with all of a stroke that it shows besides its view and its WAV.
+
+    Attributes
+    ----------
+    job : StrokeJob
+    baked : BakedStroke
+        Baked stroke, which needs no maps any more.
+    facts : Mapping[str, str]
+        Labeled lines of text.
+    tactile : MapThumbnail or None
+        Small image of the tactile map; None without a map.
+    """
+
+    job: StrokeJob
+    baked: BakedStroke
+    facts: Mapping[str, str]
+    tactile: MapThumbnail | None
 
 
-def _plot_stroke(
-    path: Path, job: StrokeJob, baked: BakedStroke, action: Action, signal: Signal, confidence: float, view: StrokeView
-) -> None:
-    """Draw the plot of a stroke: rendered view, signal over time, facts and tactile map."""
+def prepare_picture(job: StrokeJob, baked: BakedStroke, confidence: float) -> PendingPicture:
+    """Collect what the picture of a stroke shows; `confidence` is that of its signal. Nothing is drawn."""
     record, facts = baked.records[baked.main_patch], get_signal_facts(baked)
     main_slot, main_object = baked.patches[baked.main_patch].slot, baked.objects[baked.get_owner(baked.main_patch)]
-    lines = [format_material_line(part.stroke.object_name, part.touched_materials) for part in baked.split_by_object()]
+    materials = [
+        format_material_line(each.stroke.object_name, each.touched_materials) for each in baked.split_by_object()
+    ]
+    lines = {
+        "Material": "; ".join(materials),
+        "Routes": facts["routes"],
+        "Height": _format_height_line(
+            facts["height_source"], get_resolved_wavelength(record), main_object.has_relief_at(main_slot)
+        ),
+        "Confidence": f"{confidence:.0%} in the whole signal; probe: {baked.stroke.probe}",
+    }
+    return PendingPicture(job, drop_maps(baked), lines, _make_record_thumbnail(record))
+
+
+def _make_record_thumbnail(record: PatchRecord) -> MapThumbnail | None:
+    """Make the thumbnail of a patch's tactile map; None without a map.
+
+    A height is shrunk before a sensor's image of it is rendered, which takes longer than all else.
+    """
+    if record.height is None:
+        tactile = get_widest_map(record)
+        return None if tactile is None else make_thumbnail(tactile)
+    side = choose_thumbnail_step(record.mask)
+    covered = average_squares(record.mask, side)
+    height = average_squares(np.where(record.mask, record.height, 0.0), side) / np.maximum(covered, 1e-9)
+    small = replace(
+        record, height=height.astype(np.float32), mask=covered > 0.5, metres_per_pixel=side * record.metres_per_pixel
+    )
+    tactile = get_widest_map(small)
+    assert tactile is not None
+    width_m = record.height.shape[1] * record.metres_per_pixel  # the thumbnail's lacks what did not fill a square
+    return make_thumbnail(replace(tactile, metres_per_pixel=width_m / height.shape[1]))
+
+
+def write_picture(
+    folder: Path, entry: StrokeReport, picture: PendingPicture, view: StrokeView, picture_key: str
+) -> StrokeReport:
+    """Draw the picture of a stroke beside its WAV, atomically; return its report entry, which names the picture.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the results, with the WAV.
+    entry : StrokeReport
+        Entry of the stroke.
+    picture : PendingPicture
+        What it shows.
+    view : StrokeView
+        Rendered view with the path.
+    picture_key : str
+        Hash of the view.
+
+    Returns
+    -------
+    StrokeReport
+    """
+    baked, name = picture.baked, f"{Path(entry.wav).stem}.png"
     write_stroke_figure(
-        path, title=job.name, action=action, signal=signal, view=view,
-        facts={
-            "Material": "; ".join(lines),
-            "Routes": facts["routes"],
-            "Height": _format_height_line(
-                facts["height_source"], get_resolved_wavelength(record), main_object.has_relief_at(main_slot)
-            ),
-            "Confidence": f"{confidence:.0%} in the whole signal; probe: {baked.stroke.probe}",
-        },
-        tactile=get_widest_map(record),
-    )  # fmt: skip
+        folder / name,
+        title=picture.job.name,
+        action=action_from_contacts(baked.contacts, baked.patches, baked.patch_index, baked.stroke.probe),
+        signal=read_wav(folder / entry.wav),
+        view=view,
+        facts=picture.facts,
+        tactile=picture.tactile,
+    )
+    return replace(entry, picture=name, picture_key=picture_key)
 
 
 def make_file_stem(name: str) -> str:

@@ -1,10 +1,13 @@
 """Rendered view in a stroke's plot: by the scene's camera if it shows the stroke, else by an overview camera.
 
-If an obstacle hides the stroke from the overview camera, the near clipping plane is moved behind the obstacle.
+Strokes beside each other that face one way share an overview, as rendering one costs more than drawing a stroke over
+it. A stroke that no shared view shows gets a view of its own; if an obstacle hides it there, the near clipping plane is
+moved behind the obstacle.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
@@ -68,14 +71,13 @@ def clip_obstacles(camera: Camera, depth: Float, visible_depth: Float, clearance
     return replace(camera, clip_start=max(nearest - clearance_m, (float(obstacle_depth.max()) + nearest) / 2.0))
 
 
-WIDTH, HEIGHT = 768, 432
+WIDTH, HEIGHT = 512, 288
 """Size of the view [pixels]."""
-SAMPLES = 2
-"""Samples per pixel with a denoiser. On the demo scene the error against 256 samples is 0.020 of sRGB (RMS), and ridges
-a few pixels wide are preserved (correlation 0.79; with color alone 0.35). Four samples give 0.016 and 0.84 in 1.5
-times the time. The view only has to show where the stroke is, and costs more than the touch itself."""
+SAMPLES = 1
+"""Samples per pixel with a denoiser. The view only has to show where the stroke is; 768 × 432 pixels of two samples
+cost five times as much, and show ridges a few pixels wide hardly better."""
 SAMPLES_UNDENOISED = 12
-"""Samples per pixel without a denoiser: an error of 0.018 (0.012 with 24)."""
+"""Samples per pixel without a denoiser."""
 MIN_STROKE_FRACTION = 0.08
 """Extent of a stroke, as a fraction of the image's width, below which the overview camera is used."""
 MAX_NEIGHBOURS, MAX_NEIGHBOUR_FACES = 40, 400_000
@@ -87,7 +89,19 @@ MIN_VISIBLE_FRACTION = 0.25
 MAX_CUTS = 2
 """Maximum number of clipped views, since one obstacle may hide another."""
 MAX_STROKE_VIEWS = 1 + MAX_CUTS
-"""Maximum number of renders for one stroke, besides the shared view of the scene's camera."""
+"""Maximum number of renders for one stroke, besides the views that it shares."""
+MIN_SHARED_FRACTION = 0.1
+"""Extent of a stroke, as a fraction of the image's width, below which it does not share an overview."""
+MIN_SHARING_STROKES = 2
+"""Number of strokes from which they share an overview."""
+MAX_SHARED_ANGLE_RAD = np.radians(50.0)
+"""Maximum angle between the outward directions of strokes in one overview [rad]."""
+MAX_MISSES = 8
+"""Number of strokes, nearest first, that do not fit into a shared overview before it is complete."""
+SHARED_FILL = 0.8
+"""Extent of all strokes of a shared overview, as a fraction of the image's width or height."""
+PIXELS_OF_DEPTH = 2.5
+"""Depth behind the visible surface from which a point is hidden, in widths of a pixel, where pixels are wide."""
 
 
 @dataclass(frozen=True)
@@ -98,16 +112,43 @@ class Overview:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CameraView:
-    """A camera from which one stroke may be shown.
+    """A camera from which one or more strokes may be shown.
 
-    `path` (n, 3) is the stroke in world coordinates [m]; `radius_m` is the radius around it that the view should show.
+    `path` (n, 3) are the strokes in world coordinates [m]; `radius_m` is the radius around them that the view should
+    show; `touched` are the objects that they touch.
     """
 
     path: Float
     camera: Camera
     radius_m: float
+    touched: tuple[Any, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class StrokeCameras:
+    """The cameras from which a stroke may be shown.
+
+    Attributes
+    ----------
+    name : str
+        Name of the stroke, for notes.
+    own : CameraView
+        Overview of the stroke alone.
+    outward : (3,) array
+        Mean outward direction of its surface, in world coordinates.
+    force : (n,) array
+        Normal force [N].
+    shared : CameraView or None
+        View by the scene's camera, or an overview, in which it is tried first.
+    """
+
+    name: str
+    own: CameraView
+    outward: Float
+    force: Float
+    shared: CameraView | None = None
 
 
 @dataclass(frozen=True)
@@ -136,7 +177,7 @@ def collect_surroundings(scene: Any, depsgraph: Any, metres_per_unit: float) -> 
 
 
 class StrokeViews:
-    """Context manager that renders the views shown in the plots of one run; the scene camera's view is rendered once.
+    """Context manager that renders the views shown in the plots of one run, those that strokes share once.
 
     Bounding boxes are read at the start and stay valid, as a run only adds strokes to the scene; reading them again
     after any change of data would make Blender evaluate all objects again.
@@ -159,7 +200,7 @@ class StrokeViews:
         self._scene, self._metres, self._counts = scene, metres_per_unit, counts
         self._surroundings = collect_surroundings(scene, depsgraph, metres_per_unit)
         self._hashes = RenderHashes(scene, depsgraph, metres_per_unit, source)
-        self._from_scene_camera: Overview | None = None
+        self._shared: tuple[CameraView, Overview] | None = None
         self._stack = ExitStack()
         self._overviews: OverviewRenderer | None = None
 
@@ -169,39 +210,56 @@ class StrokeViews:
     def __exit__(self, *error: object) -> None:
         self._stack.close()
 
-    def hash_view(self, contacts: Contacts, surface: Surface, touched: Any) -> str:
+    def choose_cameras(self, strokes: Iterable[tuple[str, Contacts, Surface, Any]]) -> list[StrokeCameras]:
+        """Choose the cameras of all strokes; nothing is rendered.
+
+        Parameters
+        ----------
+        strokes : iterable of tuple
+            Name, contacts, touched surface, and touched object of each stroke.
+
+        Returns
+        -------
+        list of StrokeCameras
+            In the order of the strokes.
+        """
+        chosen = [_make_own_camera(*stroke) for stroke in strokes]
+        camera = self._read_scene_camera()
+        in_frame = [
+            index
+            for index, stroke in enumerate(chosen)
+            if camera is not None and is_path_visible(camera, stroke.own.path)
+        ]
+        groups = group_strokes([(index, chosen[index]) for index in sorted({*range(len(chosen))} - {*in_frame})])
+        views = [(group, _make_shared_view([chosen[index] for index in group])) for group in groups]
+        if camera is not None and in_frame:
+            views.append((in_frame, replace(_make_shared_view([chosen[index] for index in in_frame]), camera=camera)))
+        for members, view in views:
+            for index in members:
+                chosen[index] = replace(chosen[index], shared=view)
+        return chosen
+
+    def hash_view(self, cameras: StrokeCameras) -> str:
         """Hash everything that a stroke's view may show; nothing is rendered."""
-        camera_views = self._make_camera_views(contacts, surface)
-        views = (
-            self._hashes.hash_view(camera_view.camera, self._list_objects(camera_view, touched))
-            for camera_view in camera_views
-        )
+        views = (view for view in (cameras.shared, cameras.own) if view is not None)
         return content_hash(
-            *views,
-            camera_views[0].path.tobytes(),
-            contacts.force.tobytes(),
+            *(self._hashes.hash_view(view.camera, self._list_objects(view)) for view in views),
+            cameras.own.path.tobytes(),
+            cameras.force.tobytes(),
             str(_get_sample_count()),
             str(has_denoiser()),
         )
 
-    def render_stroke(
-        self, contacts: Contacts, surface: Surface, touched: Any, name: str
-    ) -> tuple[StrokeView, tuple[str, ...]]:
+    def render_stroke(self, cameras: StrokeCameras) -> tuple[StrokeView, tuple[str, ...]]:
         """Render the view of a stroke and mark its path.
 
-        The scene's camera is used if it shows enough of the stroke, else an overview camera, with obstacles clipped
-        away.
+        The shared view is used if it shows enough of the stroke, else its own, with obstacles clipped away. Only the
+        last shared view is kept: strokes that share one come one after the other.
 
         Parameters
         ----------
-        contacts : Contacts
-            Contacts of the stroke.
-        surface : Surface
-            Touched surface.
-        touched : bpy.types.Object
-            Touched object.
-        name : str
-            Name of the stroke, for notes.
+        cameras : StrokeCameras
+            Cameras of the stroke.
 
         Returns
         -------
@@ -209,39 +267,25 @@ class StrokeViews:
         notes : tuple of str
             Remarks for the user.
         """
-        *shared, custom = self._make_camera_views(contacts, surface)
-        overview, note = None if not shared else self._get_shared_overview(shared[0], touched), ""
-        if overview is None or mask_visible_points(overview.view, custom.path).mean() < MIN_VISIBLE_FRACTION:
-            overview, note = self._render_past_obstacles(custom, touched)
-        visible = mask_visible_points(overview.view, custom.path)
+        path, note = cameras.own.path, ""
+        overview = None if cameras.shared is None else self._get_shared_overview(cameras.shared)
+        if overview is None or mask_visible_points(overview.view, path).mean() < MIN_VISIBLE_FRACTION:
+            overview, note = self._render_past_obstacles(cameras.own)
+        visible = mask_visible_points(overview.view, path)
         if not visible.any():
             note = "all of it is hidden in its picture."
-        uv, _ = overview.view.camera.project(custom.path)
-        notes = (*overview.notes, *([f"stroke '{name}': {note}"] if note else []))
-        return StrokeView(overview.view.rgb, uv, contacts.force, visible), notes
+        uv, _ = overview.view.camera.project(path)
+        notes = (*overview.notes, *([f"stroke '{cameras.name}': {note}"] if note else []))
+        return StrokeView(overview.view.rgb, uv, cameras.force, visible), notes
 
-    def _make_camera_views(self, contacts: Contacts, surface: Surface) -> tuple[CameraView, ...]:
-        """Return the cameras to try for a stroke: the scene's, if its frame contains the path, and an overview."""
-        path = contacts.point @ surface.rigid[:3, :3].T + surface.rigid[:3, 3]
-        outward = contacts.normal.mean(axis=0) @ surface.rigid[:3, :3].T
-        extent = float(np.linalg.norm(path - path.mean(axis=0), axis=1).max())
-        radius = 1.6 * extent + float(np.clip(2.5 * extent, *MARGIN_RANGE_M))
-        custom = CameraView(path, make_overview_camera(path, outward, radius, WIDTH, HEIGHT), radius)
-        camera = self._read_scene_camera()
-        return (
-            (custom,)
-            if camera is None or not is_path_visible(camera, path)
-            else (CameraView(path, camera, radius), custom)
-        )
+    def _get_shared_overview(self, camera_view: CameraView) -> Overview:
+        if self._shared is None or self._shared[0] is not camera_view:
+            self._shared = (camera_view, self._render(camera_view))
+        return self._shared[1]
 
-    def _get_shared_overview(self, camera_view: CameraView, touched: Any) -> Overview:
-        if self._from_scene_camera is None:
-            self._from_scene_camera = self._render(camera_view, touched)
-        return self._from_scene_camera
-
-    def _render_past_obstacles(self, camera_view: CameraView, touched: Any) -> tuple[Overview, str]:
+    def _render_past_obstacles(self, camera_view: CameraView) -> tuple[Overview, str]:
         """Return the view from a camera, clipped if that shows more of the path, and a note if it is clipped."""
-        views = [self._render(camera_view, touched)]
+        views = [self._render(camera_view)]
         while (
             len(views) <= MAX_CUTS
             and mask_visible_points(views[-1].view, camera_view.path).mean() < MIN_VISIBLE_FRACTION
@@ -251,21 +295,21 @@ class StrokeViews:
             camera = clip_obstacles(last.camera, depth, sample_depth(last.depth, uv), camera_view.radius_m)
             if camera is None:
                 break
-            views.append(self._render(replace(camera_view, camera=camera), touched))
+            views.append(self._render(replace(camera_view, camera=camera)))
         best = max(views, key=lambda overview: mask_visible_points(overview.view, camera_view.path).sum())
         return best, "" if best is views[0] else "what stands before it is cut away in its picture."
 
-    def _render(self, camera_view: CameraView, touched: Any) -> Overview:
+    def _render(self, camera_view: CameraView) -> Overview:
         if self._overviews is None:
             overviews = OverviewRenderer(
-                self._scene, metres_per_unit=self._metres, samples=_get_sample_count(), relief=True
+                self._scene, metres_per_unit=self._metres, samples=_get_sample_count(), relief="fast"
             )
             self._overviews = self._stack.enter_context(overviews)
         self._counts.add("renders")
-        return Overview(*self._overviews.render_view(camera_view.camera, self._list_objects(camera_view, touched)))
+        return Overview(*self._overviews.render_view(camera_view.camera, self._list_objects(camera_view)))
 
-    def _list_objects(self, camera_view: CameraView, touched: Any) -> list[Any]:
-        return select_visible_objects(self._surroundings, camera_view.camera, camera_view.path, touched)
+    def _list_objects(self, camera_view: CameraView) -> list[Any]:
+        return select_visible_objects(self._surroundings, camera_view.camera, camera_view.path, camera_view.touched)
 
     def _read_scene_camera(self) -> Camera | None:
         """Return the scene's camera at the plot's size; None without one, or without square pixels."""
@@ -275,6 +319,87 @@ class StrokeViews:
         if abs(camera.intrinsics[0, 0] / camera.intrinsics[1, 1] - 1.0) > 1e-6:
             return None
         return resize_camera(camera, WIDTH)
+
+
+def _make_own_camera(name: str, contacts: Contacts, surface: Surface, touched: Any) -> StrokeCameras:
+    """Make the overview camera of one stroke."""
+    path = contacts.point @ surface.rigid[:3, :3].T + surface.rigid[:3, 3]
+    outward = contacts.normal.mean(axis=0) @ surface.rigid[:3, :3].T
+    extent = float(np.linalg.norm(path - path.mean(axis=0), axis=1).max())
+    radius = 1.6 * extent + float(np.clip(2.5 * extent, *MARGIN_RANGE_M))
+    camera = make_overview_camera(path, outward, radius, WIDTH, HEIGHT)
+    return StrokeCameras(name, CameraView(path, camera, radius, (touched,)), outward, contacts.force)
+
+
+def _make_shared_view(strokes: Sequence[StrokeCameras]) -> CameraView:
+    """Make an overview of several strokes that is filled with them, but no closer than the widest of their own."""
+    path = np.concatenate([stroke.own.path for stroke in strokes])
+    outward = np.sum([_normalise(stroke.outward) for stroke in strokes], axis=0)
+    middle = (path.min(axis=0) + path.max(axis=0)) / 2.0
+    widest = max(stroke.own.radius_m for stroke in strokes)
+    radius = max(widest, float(np.linalg.norm(path - middle, axis=1).max()))
+    camera = make_overview_camera(path, outward, radius, WIDTH, HEIGHT)
+    uv, _ = camera.project(path)
+    size = np.array([WIDTH, HEIGHT])
+    zoom = min(float((SHARED_FILL * size / np.maximum(np.ptp(uv, axis=0), 1e-9)).min()), radius / widest)
+    centre = (uv.min(axis=0) + uv.max(axis=0)) / 2.0
+    intrinsics = camera.intrinsics.copy()
+    intrinsics[:2] *= zoom
+    intrinsics[:2, 2] += size / 2.0 - zoom * centre
+    touched = {obj.as_pointer(): obj for stroke in strokes for obj in stroke.own.touched}
+    return CameraView(path, replace(camera, intrinsics=intrinsics), radius, tuple(touched.values()))
+
+
+def group_strokes(strokes: Sequence[tuple[int, StrokeCameras]]) -> list[list[int]]:
+    """Group strokes that one overview can show at a legible size.
+
+    From the first stroke on, each that is in no group yet takes in the nearest ones that face its way, as long as all
+    of them are legible together. The same strokes in the same order give the same groups.
+
+    Parameters
+    ----------
+    strokes : sequence of (int, StrokeCameras)
+        Numbers of the strokes, and their cameras.
+
+    Returns
+    -------
+    list of list of int
+        Numbers of the strokes of each group with `MIN_SHARING_STROKES` or more.
+    """
+    corners = [replace(stroke, own=replace(stroke.own, path=_sample(stroke.own.path))) for _, stroke in strokes]
+    middle = np.array([stroke.own.path.mean(axis=0) for stroke in corners]).reshape(-1, 3)
+    outward = np.array([_normalise(stroke.outward) for stroke in corners]).reshape(-1, 3)
+    extent = np.array([np.linalg.norm(np.ptp(stroke.own.path, axis=0)) for stroke in corners])
+    is_free = np.ones(len(corners), dtype=np.bool_)
+    groups = []
+    for first in range(len(corners)):
+        if not is_free[first]:
+            continue
+        distance = np.linalg.norm(middle - middle[first], axis=1)
+        is_near = distance <= np.minimum(extent, extent[first]) / MIN_SHARED_FRACTION
+        is_near &= is_free & (outward @ outward[first] >= np.cos(MAX_SHARED_ANGLE_RAD))
+        is_near[first] = False
+        group, misses = [first], 0
+        for index in np.flatnonzero(is_near)[np.argsort(distance[is_near], kind="stable")].tolist():
+            candidates = [corners[each] for each in (*group, index)]
+            camera = _make_shared_view(candidates).camera
+            if all(is_path_visible(camera, each.own.path, MIN_SHARED_FRACTION) for each in candidates):
+                group.append(index)
+            elif (misses := misses + 1) == MAX_MISSES:
+                break
+        if len(group) >= MIN_SHARING_STROKES:
+            is_free[group] = False
+            groups.append(sorted(strokes[index][0] for index in group))
+    return groups
+
+
+def _sample(path: Float, count: int = 9) -> Float:
+    """Return points of a path, its ends included."""
+    return np.asarray(path[np.linspace(0, len(path) - 1, min(count, len(path))).astype(int)])
+
+
+def _normalise(vector: Float) -> Float:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12))
 
 
 def _get_sample_count() -> int:
@@ -292,24 +417,26 @@ def resize_camera(camera: Camera, width: int) -> Camera:
     )
 
 
-def is_path_visible(camera: Camera, path: Float) -> bool:
+def is_path_visible(camera: Camera, path: Float, min_fraction: float = MIN_STROKE_FRACTION) -> bool:
     """Return True if a camera's frame contains the entire path (n, 3), and shows it large enough."""
     uv, depth = camera.project(path)
     size = np.array([camera.width, camera.height])
     inside = (uv > 0).all() and (uv < size).all() and (depth > camera.clip_start).all()
     extent = (uv.max(axis=0) - uv.min(axis=0)).max() if inside else 0.0
-    return bool(extent >= MIN_STROKE_FRACTION * camera.width)
+    return bool(extent >= min_fraction * camera.width)
 
 
-def select_visible_objects(surroundings: Surroundings, camera: Camera, path: Float, touched: Any) -> list[Any]:
-    """Return the touched object and the nearest of the surrounding objects whose bounding spheres are in view."""
+def select_visible_objects(
+    surroundings: Surroundings, camera: Camera, path: Float, touched: Sequence[Any]
+) -> list[Any]:
+    """Return the touched objects and the nearest of the surrounding objects whose bounding spheres are in view."""
     distance = np.linalg.norm(surroundings.centre - path.mean(axis=0), axis=1) - surroundings.radius
     visible = np.flatnonzero(may_be_visible(camera, surroundings.centre, surroundings.radius)).tolist()
     neighbours = sorted(
-        (index for index in visible if surroundings.objects[index] != touched),
+        (index for index in visible if surroundings.objects[index] not in touched),
         key=lambda index: (distance[index], surroundings.objects[index].name),
     )
-    chosen, faces = [touched], 0
+    chosen, faces = list(touched), 0
     for obj in (surroundings.objects[index] for index in neighbours[:MAX_NEIGHBOURS]):
         faces += len(obj.data.polygons) if obj.type == "MESH" else 1000
         if faces > MAX_NEIGHBOUR_FACES:
@@ -338,4 +465,6 @@ def mask_visible_points(view: RgbdView, path: Float) -> NDArray[np.bool_]:
     """Return a mask (n,) of the path's points (n, 3) that are visible in a view."""
     uv, depth = view.camera.project(path)
     inside = (uv >= 0).all(axis=1) & (uv < [view.camera.width, view.camera.height]).all(axis=1)
-    return np.asarray(inside & (depth <= sample_depth(view.depth, uv) + OCCLUSION_DEPTH_M))
+    pixel_m = (depth if view.camera.kind == "perspective" else 1.0) / view.camera.intrinsics[0, 0]
+    tolerance = np.maximum(OCCLUSION_DEPTH_M, PIXELS_OF_DEPTH * pixel_m)
+    return np.asarray(inside & (depth <= sample_depth(view.depth, uv) + tolerance))

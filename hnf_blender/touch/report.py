@@ -42,6 +42,8 @@ class StrokeReport:
         Name of the encoder E of the tactile map, "" without a map.
     tactile_map_weights : str
         Hash of the weights of D_φ if the map was predicted, else "".
+    picture : str
+        File of the plot; "" if none is drawn.
     picture_key : str
         Hash of everything the plot shows besides the touch.
     likely : Mapping[str, float]

@@ -7,20 +7,21 @@ each result, warnings, and what to do next.
 from __future__ import annotations
 
 import contextlib
+import gc
 import shlex
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+import traceback
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from hnf_core.cli.commands import get_command_prefix
-from hnf_core.errors import FileError, pluralize
-from hnf_core.export.plots.stroke_figure import StrokeView
+from hnf_core.errors import FileError, HnfError, pluralize
 from hnf_core.files import content_hash, folder_lock
-from hnf_core.progress import Progress, ProgressBar, ProgressCallback, ignore_progress
+from hnf_core.progress import Cancelled, Progress, ProgressBar, ProgressCallback, ignore_progress
 from hnf_core.touch_request import TouchRequest
 
 from ..bridge.importers import open_scene
@@ -40,10 +41,10 @@ from .bake_plan import (
 )
 from .bake_storage import store_tokens
 from .baked_stroke import BakedStroke
-from .output_files import redraw_stroke_plot, save_baked_blend, write_stroke_files
-from .overview import StrokeViews
+from .output_files import PendingPicture, prepare_picture, save_baked_blend, write_picture, write_stroke_wav
+from .overview import StrokeCameras, StrokeViews
 from .query import add_queries, carry_over_strokes, format_query_line, run_queries, skip_strokes
-from .report import REPORT_NAME, Report, StrokeReport, add_option_hint, format_lost_note
+from .report import REPORT_NAME, Failed, Report, Skipped, StrokeReport, add_option_hint, format_lost_note
 from .session import GatheredJobs, Session, StrokeJob, gather_jobs
 from .synthesise import CACHE_FOLDER_NAME, bake_strokes, record_time, synthesise_stroke
 
@@ -97,6 +98,8 @@ def format_closing(report: Report, folder: Path, *, with_strokes: bool = True) -
     counts = [pluralize(len(strokes), "stroke")] if strokes else []
     counts += [pluralize(len(report.probes), "place")] if report.probes else []
     lines = [f"Done: {' and '.join(counts)} in {folder}. {_format_work(report)}"]
+    if strokes and any(skipped.why == NO_PICTURES_REASON for skipped in report.skipped):
+        lines[0] += " No pictures were wanted."
     lines += [f"  {label:<8} {text}" for label, text in _iter_next_steps(report, strokes, folder)]
     return lines
 
@@ -115,7 +118,8 @@ def _iter_next_steps(report: Report, strokes: list[StrokeReport], folder: Path) 
     if strokes:
         loudest = max(strokes, key=lambda stroke: stroke.rms_m_s2)
         wav, listen_wav = folder / loudest.wav, folder / f"{Path(loudest.wav).stem}-listen.wav"
-        yield "Look at", str(folder / loudest.picture)
+        if loudest.picture:
+            yield "Look at", str(folder / loudest.picture)
         yield (
             "Listen",
             shlex.join([*get_command_prefix(), "export", str(wav), "--format", "listen", "--out", str(listen_wav)]),
@@ -215,8 +219,8 @@ def touch_strokes(
     """Bake, synthesize and write all strokes whose results of an earlier run are not valid any more.
 
     Nothing is done if all results are still valid (fresh) and the scene's files are unchanged. If the files changed,
-    fresh strokes are baked again from cached patches, so that their tokens get into the new .blend, and plotted again
-    if their view changed.
+    fresh strokes are baked again from cached patches, so that their tokens get into the new .blend. All signals and the
+    .blend are written before the first picture is drawn; a fresh stroke's is drawn again if its view changed.
 
     Parameters
     ----------
@@ -243,14 +247,20 @@ def touch_strokes(
             report.add_warning(f"stroke '{stroke.name}': {warning}")
     names = {job.name for job in gathered.jobs} | {failed.stroke for failed in gathered.failed}
     report.left_over = find_orphaned_files(previous, folder, report.scene, report.strokes, names)
+    draws = session.request.pictures
     if (
         gathered.jobs
         and len(fresh) == len(gathered.jobs)
-        and not previous.get_rerun_reason(gathered.jobs, source, baked_path)
+        and not previous.get_rerun_reason(gathered.jobs, source, baked_path, fresh.values() if draws else ())
     ):
         report.source = source
+        _note_missing_pictures(report, draws)
         return
+    if not draws and previous.source != source:  # nobody looks whether the pictures still show what there is
+        report.strokes = [replace(stroke, picture="", picture_key="") for stroke in report.strokes]
+    # Boxes and hashes for the pictures are read before tokens are stored, after which Blender evaluates meshes anew.
     with StrokeViews(session.scene, session.depsgraph, session.metres_per_unit, report.counts, source) as views:
+        pictures: list[PendingPicture] = []
         reported_done = 0
 
         def write_and_report(state: Progress) -> None:
@@ -261,25 +271,27 @@ def touch_strokes(
             progress(state)
 
         def on_stroke(job: StrokeJob, baked: BakedStroke, start_stage: Callable[[str], None]) -> None:
-            key = content_hash(job.name, views.hash_view(baked.contacts, baked.touched.surface, baked.touched.obj))
             if job.name not in fresh:
                 start_stage("synthesis")
-                report.strokes.append(_synthesise(session, job, baked, views, key, report))
-            elif fresh[job.name].picture_key != key:
-                start_stage("picture")
-                _redraw(session, job, baked, views, key, report)
+                report.strokes.append(_synthesise(session, job, baked, report))
+            if draws:
+                entry = next(stroke for stroke in report.strokes if stroke.name == job.name)
+                pictures.append(prepare_picture(job, baked, entry.confidence))
 
         cache = folder / CACHE_FOLDER_NAME
         baked_strokes = bake_strokes(session, gathered.jobs, cache, report, on_stroke, write_and_report)
-    if baked_strokes:
-        with record_time(report, "save_s"):
-            for warning in store_tokens(baked_strokes):
-                report.add_warning(warning)
-            if session.request.metres_per_unit is not None:
-                # Or the baked file would have another size where it is opened.
-                session.scene.hnf.metres_per_unit = session.metres_per_unit
-            save_baked_blend(baked_path)
-            report.source = source
+        due = _find_due_pictures(pictures, views, report)
+        if baked_strokes:
+            with record_time(report, "save_s"):
+                for warning in store_tokens(baked_strokes):
+                    report.add_warning(warning)
+                if session.request.metres_per_unit is not None:
+                    # Or the baked file would have another size where it is opened.
+                    session.scene.hnf.metres_per_unit = session.metres_per_unit
+                save_baked_blend(baked_path)
+                report.source = source
+        _draw_pictures(session, due, views, report, progress)
+    _note_missing_pictures(report, draws)
     report.left_over = find_orphaned_files(
         previous, folder, report.scene, report.strokes, {failed.stroke for failed in report.failed}
     )
@@ -355,32 +367,94 @@ def _new_report(session: Session, gathered: GatheredJobs, files: list[str]) -> R
     return report
 
 
-def _synthesise(
-    session: Session, job: StrokeJob, baked: BakedStroke, views: StrokeViews, picture_key: str, report: Report
-) -> StrokeReport:
+def _synthesise(session: Session, job: StrokeJob, baked: BakedStroke, report: Report) -> StrokeReport:
     with record_time(report, "synthesis_s"):
         synthesised = synthesise_stroke(baked, session.field, job.seed, report.counts)
-    for warning in synthesised.warnings:
-        report.add_warning(f"stroke '{job.name}': {warning}")
-    with record_time(report, "picture_s"):
-        view, used_names = _render_view(job, baked, views, report), {stroke.wav for stroke in report.strokes}
-        return write_stroke_files(session.request.folder, job, baked, synthesised, view, used_names, picture_key)
+        for warning in synthesised.warnings:
+            report.add_warning(f"stroke '{job.name}': {warning}")
+        used_names = {stroke.wav for stroke in report.strokes}
+        return write_stroke_wav(session.request.folder, job, baked, synthesised, used_names)
 
 
-def _redraw(
-    session: Session, job: StrokeJob, baked: BakedStroke, views: StrokeViews, picture_key: str, report: Report
+def _note_missing_pictures(report: Report, draws: bool) -> None:
+    """List in the report how many pictures were not wanted."""
+    missing = 0 if draws else sum(not stroke.picture for stroke in report.strokes)
+    if missing:
+        report.skipped.append(Skipped(pluralize(missing, "picture"), NO_PICTURES_REASON))
+
+
+NO_PICTURES_REASON = "none is wanted (--no-pictures)"
+"""Why a report names no pictures."""
+
+
+@dataclass(frozen=True)
+class _DuePicture:
+    """Picture to draw, from where, and the hash of its view."""
+
+    picture: PendingPicture
+    cameras: StrokeCameras
+    key: str
+
+
+def _find_due_pictures(pictures: Sequence[PendingPicture], views: StrokeViews, report: Report) -> list[_DuePicture]:
+    """Return the pictures that do not show what there is now, so that those which share a view follow each other."""
+    keys = {stroke.name: stroke.picture_key for stroke in report.strokes}
+    cameras = views.choose_cameras(
+        (each.job.name, each.baked.contacts, each.baked.touched.surface, each.baked.touched.obj) for each in pictures
+    )
+    due = [
+        _DuePicture(picture, each, content_hash(picture.job.name, views.hash_view(each)))
+        for picture, each in zip(pictures, cameras, strict=True)
+    ]
+    due = [each for each in due if keys[each.picture.job.name] != each.key]
+    first = {id(each.cameras.shared or each): number for number, each in reversed(list(enumerate(due)))}
+    return sorted(due, key=lambda each: first[id(each.cameras.shared or each)])
+
+
+REPORT_PERIOD_S = 1.0
+"""Shortest time between two reports that are written while pictures are drawn [s]: a picture missing in it is drawn
+again by the next run, and a report of a thousand strokes takes longer to write than a picture to draw."""
+
+
+def _draw_pictures(
+    session: Session, due: Sequence[_DuePicture], views: StrokeViews, report: Report, progress: ProgressCallback
 ) -> None:
-    with record_time(report, "picture_s"):
-        index = next(index for index, stroke in enumerate(report.strokes) if stroke.name == job.name)
-        entry, view = report.strokes[index], _render_view(job, baked, views, report)
-        report.strokes[index] = redraw_stroke_plot(session.request.folder, entry, job, baked, view, picture_key)
+    """Draw pictures of strokes whose WAVs are written; one that fails is listed in the report."""
+    gc.freeze()  # what the bake has made stays; to search it for cycles again and again takes longer
+    try:
+        _draw_each(session, due, views, report, progress)
+    finally:
+        gc.unfreeze()
 
 
-def _render_view(job: StrokeJob, baked: BakedStroke, views: StrokeViews, report: Report) -> StrokeView:
-    view, notes = views.render_stroke(baked.contacts, baked.touched.surface, baked.touched.obj, job.name)
-    for note in notes:
-        report.add_warning(note)
-    return view
+def _draw_each(
+    session: Session, due: Sequence[_DuePicture], views: StrokeViews, report: Report, progress: ProgressCallback
+) -> None:
+    folder, written = session.request.folder, time.monotonic()
+    index = {stroke.name: number for number, stroke in enumerate(report.strokes)}
+    for done, each in enumerate(due):
+        name = each.picture.job.name
+        progress(Progress(f"{name}: picture", done, len(due)))
+        if time.monotonic() - written > REPORT_PERIOD_S:
+            report.write(folder)
+            written = time.monotonic()
+        try:
+            with record_time(report, "picture_s"):
+                view, notes = views.render_stroke(each.cameras)
+                for note in notes:
+                    report.add_warning(note)
+                number = index[name]
+                report.strokes[number] = write_picture(folder, report.strokes[number], each.picture, view, each.key)
+        except HnfError as error:
+            report.failed.append(Failed(name, str(error)))
+        except (KeyboardInterrupt, Cancelled):
+            report.failed += [
+                Failed(left.picture.job.name, "stopped before its picture was drawn.") for left in due[done:]
+            ]
+            raise
+        except Exception as error:  # a programming error: the other pictures are still drawn
+            traceback.print_exc()
+            report.failed.append(Failed(name, f"{name}: internal error ({error!r}). Please report it."))
 
 
 @contextlib.contextmanager

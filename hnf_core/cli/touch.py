@@ -78,6 +78,10 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         help="keep every relief's height, also where no surface is known to be so high; else its shape gets the height "
         "of the material",
     )  # fmt: skip
+    parser.add_argument(
+        "--no-pictures", action="store_false", dest="pictures",
+        help="draw no pictures of the strokes: sound, report and .blend alone, sooner",
+    )  # fmt: skip
     parser.add_argument("--scale", type=float, metavar="METRES_PER_UNIT", help="length of one scene unit in metres")
     parser.add_argument("--seed", type=parse_seed, metavar="N", help="seed of all strokes; default: each stroke's own")
     parser.add_argument("--plan", action="store_true", help="say what would be done, skipped and why; write nothing")
@@ -110,6 +114,7 @@ def make_touch_request(arguments: argparse.Namespace) -> TouchRequest:
         height_as_authored=arguments.height_as_authored,
         sensor=arguments.sensor,
         tactile_map=arguments.tactile_map,
+        pictures=arguments.pictures,
     )
     if not request.plan_only:
         request.folder  # raises before Blender starts if it is invalid  # noqa: B018

@@ -16,7 +16,7 @@ from hnf_blender.bridge.render.lit_render import OverviewRenderer
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.bridge.scene.temp_scene import TEMP_SCENE_NAME, TemporaryScene
 from hnf_blender.touch import overview as touch_view
-from hnf_blender.touch.overview import StrokeViews
+from hnf_blender.touch.overview import StrokeViews, is_path_visible
 from hnf_blender.touch.report import Counts
 from hnf_core.errors import SceneError
 from hnf_core.progress import count_work
@@ -203,7 +203,7 @@ def test_denoising_with_relief_passes_preserves_ridges():
     wide.rotation_euler, wide.data.angle = (0.0, 1.0, 0.0), 3.0
     camera = make_overview_camera([[0, 0, 0]], [0, 0, 1], 0.3, 192, 108)
 
-    def ridges(samples, denoised, relief=False):
+    def ridges(samples, denoised, relief=""):
         """What changes within seven pixels."""
         with OverviewRenderer(bpy.context.scene, samples=samples, entire_scene=True, relief=relief) as overviews:
             overviews.temporary.scene.cycles.use_denoising = denoised
@@ -212,7 +212,7 @@ def test_denoising_with_relief_passes_preserves_ridges():
 
     true = ridges(128, False)
     by_colour, shown = (
-        np.corrcoef(true.ravel(), ridges(touch_view.SAMPLES, True, relief).ravel())[0, 1] for relief in (False, True)
+        np.corrcoef(true.ravel(), ridges(touch_view.SAMPLES, True, relief).ravel())[0, 1] for relief in ("", "fast")
     )
     assert shown > max(0.8, by_colour + 0.05)
 
@@ -233,13 +233,19 @@ def test_views_of_a_run_share_one_lazily_built_scene(things, small):
         for x in (0.8, 1.2):
             point = np.stack([np.linspace(x, x + 0.1, 5), np.zeros(5), np.zeros(5)], axis=1)
             contacts = SimpleNamespace(point=point, normal=np.tile([0.0, 0.0, 1.0], (5, 1)), force=np.ones(5))
-            shown, _ = views.render_stroke(contacts, surface, floor, "Across")
+            shown, _ = draw(views, "Across", contacts, surface, floor)
             assert np.ptp(shown.path[:, 0]) > 15
             assert (
                 bpy.data.scenes[TEMP_SCENE_NAME].cycles.denoising_input_passes == "RGB_ALBEDO_NORMAL"
             )  # the relief stays
     assert (work.total("scenes"), work.total("renders"), counts.renders) == (1, 2, 2)
     assert TEMP_SCENE_NAME not in bpy.data.scenes
+
+
+def draw(views, *stroke):
+    """The view of one stroke without others: its name, contacts, surface and object."""
+    (cameras,) = views.choose_cameras([stroke])
+    return views.render_stroke(cameras)
 
 
 def seen_from_below(gap):
@@ -256,7 +262,7 @@ def seen_from_below(gap):
     down = np.array([0.0, 0.0, -1.0]) @ surface.rigid[:3, :3]
     contacts = SimpleNamespace(point=point, normal=np.tile(down, (9, 1)), force=np.ones(9))
     with StrokeViews(bpy.context.scene, depsgraph, 1.0, Counts()) as views:
-        return views.render_stroke(contacts, surface, board, "Under the board")
+        return draw(views, "Under the board", contacts, surface, board)
 
 
 @pytest.mark.parametrize("gap", [None, 0.25, 0.05])
@@ -294,10 +300,86 @@ def test_an_occluded_scene_camera_is_not_used(small):
     point = np.stack([np.linspace(-0.03, 0.03, 9), np.zeros(9), np.zeros(9)], axis=1)
     contacts = SimpleNamespace(point=point, normal=np.tile([0.0, 0.0, 1.0], (9, 1)), force=np.ones(9))
     with StrokeViews(bpy.context.scene, depsgraph, 1.0, counts) as views:
-        for name in ("One", "Two"):
-            shown, _ = views.render_stroke(contacts, surface, board, name)
+        for cameras in views.choose_cameras((name, contacts, surface, board) for name in ("One", "Two")):
+            shown, _ = views.render_stroke(cameras)
             assert shown.visible.all()
     assert counts.renders == 3  # the scene's own view once
+
+
+def strokes_on(board, places, length=0.04, downwards=()):
+    """Strokes along x, each over a place of a board; those of `downwards` as if they touched its other side."""
+    surface = read_surface(board, bpy.context.evaluated_depsgraph_get(), 1.0)
+    along = np.linspace(-0.5, 0.5, 9)[:, None] * [length, 0.0, 0.0]
+    strokes = []
+    for number, place in enumerate(places):
+        up = [0.0, 0.0, -1.0 if number in downwards else 1.0]
+        contacts = SimpleNamespace(point=along + place, normal=np.tile(up, (9, 1)), force=np.ones(9))
+        strokes.append((f"Stroke {number}", contacts, surface, board))
+    return strokes
+
+
+ROW = [(0.05 * number, 0.02, 0.0) for number in range(4)]
+
+
+def stroke_views(counts):
+    return StrokeViews(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0, counts)
+
+
+def test_strokes_beside_each_other_share_a_legible_view(small):
+    board, counts = coloured(add_plane("Board", size=0.5), (0.8, 0.1, 0.1)), Counts()
+    bpy.context.view_layer.update()
+    with stroke_views(counts) as views:
+        chosen = views.choose_cameras(strokes_on(board, ROW))
+        shown = [views.render_stroke(cameras)[0] for cameras in chosen]
+        assert counts.renders == 1
+        again = [views.render_stroke(cameras)[0] for cameras in reversed(chosen)]
+    for one, other in zip(shown, reversed(again), strict=True):
+        assert one.visible.all()
+        assert np.ptp(one.path[:, 0]) >= touch_view.MIN_SHARED_FRACTION * touch_view.WIDTH
+        np.testing.assert_array_equal(one.rgb, other.rgb)
+        np.testing.assert_array_equal(one.path, other.path)
+    assert len({float(each.path[0, 0]) for each in shown}) == len(ROW)
+    with stroke_views(Counts()) as views:  # the last alone, as where the others' pictures are drawn already
+        alone, _ = views.render_stroke(views.choose_cameras(strokes_on(board, ROW))[-1])
+    np.testing.assert_array_equal(alone.rgb, shown[-1].rgb)
+
+
+def test_strokes_that_no_view_shows_well_share_none(small):
+    board = coloured(add_plane("Board", size=0.5), (0.8, 0.1, 0.1))
+    bpy.context.view_layer.update()
+    with stroke_views(Counts()) as views:
+        far_apart = views.choose_cameras(strokes_on(board, [(0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.0, 0.4, 0.0)]))
+        two_sides = views.choose_cameras(strokes_on(board, ROW, downwards=(1, 3)))
+    assert [cameras.shared for cameras in far_apart] == [None] * 3
+    above, below = ({id(two_sides[number].shared) for number in side} for side in ((0, 2), (1, 3)))
+    assert (len(above), len(below), len(above | below)) == (1, 1, 2)
+
+
+def test_a_stroke_hidden_in_the_shared_view_has_its_own(small):
+    board, counts = coloured(add_plane("Board", size=0.5), (0.8, 0.1, 0.1)), Counts()
+    lid = coloured(add_plane("Lid", size=0.05), (0.0, 0.0, 1.0))
+    lid.location = np.add(ROW[2], 0.03 * np.array([0.45, -0.8, 1.0]))  # on the way to the camera
+    bpy.context.view_layer.update()
+    with stroke_views(counts) as views:
+        chosen = views.choose_cameras(strokes_on(board, ROW))
+        seen = [views.render_stroke(cameras) for cameras in chosen]
+    assert all(shown.visible.mean() > 0.9 for shown, _ in seen)
+    assert [any("cut away" in note for note in notes) for _, notes in seen] == [False, False, True, False]
+    assert counts.renders == 1 + 2  # the shared one; the hidden stroke's own, before and behind the lid
+
+
+def test_a_few_views_show_hundreds_of_strokes(small):
+    board = coloured(add_plane("Board", size=0.5), (0.8, 0.1, 0.1))
+    bpy.context.view_layer.update()
+    places = [(0.05 * column, 0.05 * row, 0.0) for row in range(10) for column in range(30)]
+    with stroke_views(Counts()) as views:
+        chosen = views.choose_cameras(strokes_on(board, places, length=0.03))
+        again = views.choose_cameras(strokes_on(board, places, length=0.03))
+        assert [views.hash_view(each) for each in chosen] == [views.hash_view(each) for each in again]
+    shared = [id(cameras.shared) for cameras in chosen]
+    assert len(set(shared)) <= len(places) / 6
+    for cameras in (each for each in chosen if each.shared is not None):
+        assert is_path_visible(cameras.shared.camera, cameras.own.path, touch_view.MIN_SHARED_FRACTION)
 
 
 def lamp(place, energy=2.0):

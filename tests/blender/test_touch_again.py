@@ -12,8 +12,10 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_blender.cli import main
-from hnf_blender.touch import overview
+from hnf_blender.touch import output_files, overview
 from hnf_blender.touch.overview import MAX_STROKE_VIEWS, MIN_STROKE_FRACTION
+from hnf_core.errors import FileError
+from hnf_core.export.plots.stroke_figure import write_stroke_figure
 
 NOTHING = {"close_ups": 0, "renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
 PLACE = (0.04, 0.03, 0.02)
@@ -285,7 +287,7 @@ def test_the_plan_counts_the_pictures_that_may_be_made_anew(scene, tmp_path, cap
 
     assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (0, 0)
     changed(scene, move("Camera"))
-    assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (1 + 2 * MAX_STROKE_VIEWS, 2)
+    assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (1 + 1 + 2 * MAX_STROKE_VIEWS, 2)
     assert main(["touch", str(scene), "--out", str(out), "--plan"]) == 0
     assert "at most 2 pictures" in capsys.readouterr().out
 
@@ -350,3 +352,93 @@ def test_no_run_renders_more_than_its_plan_says(scene, tmp_path, capsys) -> None
 def test_the_scenes_own_camera_shows_the_longer_stroke() -> None:
     """What the others stand on: at the size that touch() renders."""
     assert 0.008 / 0.108 < MIN_STROKE_FRACTION < 0.02 / 0.108  # a 36 mm sensor and a 50 mm lens, 0.15 m away
+
+
+def test_every_signal_is_there_before_the_first_picture(scene, tmp_path, monkeypatch) -> None:
+    """And a run that is killed while it draws leaves them to the next one, which draws what is missing."""
+    out, seen = tmp_path / "out", []
+
+    def die(*_args: object, **_named: object) -> None:
+        seen.append({path.name for path in out.iterdir()})
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(output_files, "write_stroke_figure", die)
+        assert main(["touch", str(scene), "--out", str(out)]) != 0
+    assert {"along.wav", "beside.wav", "scene_touched.blend"} <= seen[0]
+    assert not any(name.endswith(".png") for name in seen[0])
+    left = json.loads((out / "report.json").read_text())
+    assert [(stroke["picture"], stroke["picture_key"]) for stroke in left["strokes"]] == [("", "")] * 2
+    assert {failed["stroke"] for failed in left["failed"]} == {"Along", "Beside"}
+    wavs = {name: (out / name).read_bytes() for name in ("along.wav", "beside.wav")}
+
+    _, second = touch(scene, out)
+    assert second["counts"]["close_ups"] == second["counts"]["network_calls"] == 0
+    assert [stroke["fresh"] for stroke in second["strokes"]] == [True, True]
+    _, whole = touch(scene, tmp_path / "whole")
+    assert pictures(out, second) == pictures(tmp_path / "whole", whole)
+    assert wavs == {name: (tmp_path / "whole" / name).read_bytes() for name in wavs}
+    assert touch(scene, out)[1]["counts"] == NOTHING
+
+
+def test_a_picture_that_cannot_be_drawn_costs_no_signal(scene, tmp_path, monkeypatch) -> None:
+    def fail(path, **shown) -> None:
+        if path.stem == "along":
+            raise FileError("no room.", where=str(path))
+        write_stroke_figure(path, **shown)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(output_files, "write_stroke_figure", fail)
+        code, report = touch(scene, tmp_path / "out")
+    assert code == 1
+    assert [failed["stroke"] for failed in report["failed"]] == ["Along"]
+    assert {stroke["name"]: stroke["picture"] for stroke in report["strokes"]} == {"Along": "", "Beside": "beside.png"}
+    assert (tmp_path / "out" / "along.wav").is_file()
+    code, second = touch(scene, tmp_path / "out")
+    assert (code, second["counts"]["network_calls"]) == (0, 0)
+    assert files_of(second)["Along"] == ("along.wav", "along.png")
+
+
+def test_no_pictures_makes_none_and_the_report_says_so(scene, tmp_path, capsys) -> None:
+    out = tmp_path / "out"
+    record, said = plan_of(scene, out, capsys, "--no-pictures")
+    assert "picture" not in said
+    code, report = touch(scene, out, "--no-pictures")
+    assert code == 0
+    assert {"what": "2 pictures", "why": "none is wanted (--no-pictures)"} in report["skipped"]
+    assert files_of(report) == {"Along": ("along.wav", ""), "Beside": ("beside.wav", "")}
+    assert not list(out.glob("*.png"))
+    assert report["counts"]["renders"] <= record["estimate"]["renders_at_most"]
+    assert touch(scene, out, "--no-pictures")[1]["counts"] == NOTHING
+
+    record, _ = plan_of(scene, out, capsys)
+    assert (record["again"], record["pictures"]) == ("pictures", 2)
+    _, drawn = touch(scene, out)
+    assert drawn["counts"]["close_ups"] == drawn["counts"]["network_calls"] == 0
+    _, whole = touch(scene, tmp_path / "whole")
+    assert pictures(out, drawn) == pictures(tmp_path / "whole", whole)
+    assert {key: drawn[key] for key in ("skipped", "failed")} == {key: whole[key] for key in ("skipped", "failed")}
+    for name in ("along.wav", "beside.wav"):
+        assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_no_pictures_keeps_those_of_an_equal_scene(scene, tmp_path) -> None:
+    out = tmp_path / "out"
+    _, first = touch(scene, out)
+    _, second = touch(scene, out, "--no-pictures")
+    assert (files_of(second), second["skipped"]) == (files_of(first), first["skipped"])
+    changed(scene, move("Camera"))
+    _, third = touch(scene, out, "--no-pictures")
+    assert [stroke["picture"] for stroke in third["strokes"]] == ["", ""]
+    assert third["left_over"] == ["along.png", "beside.png"]
+    assert [stroke["fresh"] for stroke in third["strokes"]] == [True, True]
+
+
+def test_a_lost_picture_is_drawn_again_and_nothing_else(scene, tmp_path) -> None:
+    out = tmp_path / "out"
+    _, first = touch(scene, out)
+    before = pictures(out, first)
+    (out / "beside.png").unlink()
+    _, second = touch(scene, out)
+    assert second["counts"] == NOTHING | {"renders": 1, "rays": second["counts"]["rays"]}
+    assert pictures(out, second) == before

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,8 @@ DOME_STRENGTH = 1.0
 """Strength of the uniform white world that lights a scene without light."""
 MAX_BOUNCES = 4
 """Maximum number of bounces in lit views."""
+Relief = Literal["", "fast", "accurate"]
+"""Accuracy with which a denoiser preserves relief."""
 
 
 class OverviewRenderer:
@@ -59,9 +61,9 @@ class OverviewRenderer:
     entire_scene : bool, default False
         Render all objects. Otherwise only those named for each view and the scene's lights, so that the cost does not
         depend on the scene.
-    relief : bool, default False
-        Preserve details a few pixels wide when denoising; otherwise ridges of a surface may be removed as noise. It
-        takes longer than two more samples per pixel.
+    relief : {"", "fast", "accurate"}
+        Preserve details a few pixels wide when denoising; otherwise ridges of a surface may be removed as noise.
+        "accurate" takes longer than two more samples per pixel.
     """
 
     def __init__(
@@ -71,7 +73,7 @@ class OverviewRenderer:
         metres_per_unit: float = 1.0,
         samples: int = 16,
         entire_scene: bool = False,
-        relief: bool = False,
+        relief: Relief = "",
     ) -> None:
         self._scene, self._metres, self._samples = scene, metres_per_unit, samples
         self._entire_scene, self._relief = entire_scene, relief
@@ -229,7 +231,7 @@ class CameraViewRenderer(OverviewRenderer):
     """
 
     def __init__(self, scene: Any, *, metres_per_unit: float, samples: int) -> None:
-        super().__init__(scene, metres_per_unit=metres_per_unit, samples=samples, entire_scene=True, relief=True)
+        super().__init__(scene, metres_per_unit=metres_per_unit, samples=samples, entire_scene=True, relief="accurate")
         self.objects, self.materials = [""], [""]
 
     def __enter__(self) -> CameraViewRenderer:
@@ -376,7 +378,7 @@ def _get_frame(scene: Any, frame: float | None) -> float:
     return float(scene.frame_current_final) if frame is None else frame
 
 
-def _configure_quick_render(scene: Any, relief: bool) -> None:
+def _configure_quick_render(scene: Any, relief: Relief) -> None:
     """Limit the bounces, and enable the Open Image Denoise denoiser if this build of Blender includes it.
 
     Enabling it in a build without it would make the render fail. `relief` preserves fine details.
@@ -392,7 +394,7 @@ def _configure_quick_render(scene: Any, relief: bool) -> None:
     # With so few samples albedo and normals are as noisy as the color. They help only if they are denoised accurately
     # first, which takes longer than the color itself.
     cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL" if relief else "RGB"
-    cycles.denoising_prefilter = "ACCURATE" if relief else "FAST"
+    cycles.denoising_prefilter = "ACCURATE" if relief == "accurate" else "FAST"
     if hasattr(cycles, "denoising_quality"):
         cycles.denoising_quality = "FAST"
 

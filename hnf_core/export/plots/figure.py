@@ -7,12 +7,14 @@ contrast stretched, with a scale bar and a description.
 
 from __future__ import annotations
 
+import gc
 import io
 import textwrap
 import warnings
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -29,6 +31,7 @@ from ...units import linear_to_srgb, m_to_mm, power_to_db
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
 Float = NDArray[np.float64]
@@ -104,6 +107,82 @@ SILENCE_DB = -120.0
 """Density [dB re 1 (m/s²)²/Hz] below which a signal is labeled silent; far below the threshold of the skin."""
 
 
+Side = Literal["bottom", "left", "right"]
+"""Side of axes at which a scale is drawn."""
+
+
+def draw_scale(
+    axes: Axes, side: Side, values: Sequence[float], labels: Sequence[str] = (), title: str = "", *, grid: bool = True
+) -> None:
+    """Draw ticks, their labels, a title and grid lines of axes whose own are hidden, in a third of matplotlib's time.
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes to draw in.
+    side : {"bottom", "left", "right"}
+        Side of the scale.
+    values : sequence of float
+        Positions of the ticks, in the data's unit.
+    labels : sequence of str
+        Their labels; without any only the ticks are drawn.
+    title : str
+        Quantity and unit.
+    grid : bool
+        Draw a line at each tick.
+    """
+    from matplotlib.collections import LineCollection
+    from matplotlib.lines import Line2D
+    from matplotlib.transforms import ScaledTranslation
+
+    figure, is_row, edge = axes.get_figure(root=True), side == "bottom", float(side == "right")
+    assert figure is not None
+    (axes.xaxis if is_row else axes.yaxis).set_visible(False)
+    marker, label_pt, title_pt, ha, va = _SCALES[side]
+    transform = axes.get_xaxis_transform() if is_row else axes.get_yaxis_transform()
+
+    def place(along: Any, across: Any) -> tuple[Any, Any]:
+        return (along, across) if is_row else (across, along)
+
+    def shift(points: float) -> ScaledTranslation:
+        return ScaledTranslation(*place(0.0, points / 72.0), figure.dpi_scale_trans)
+
+    if grid:
+        lines = [(place(value, 0.0), place(value, 1.0)) for value in values]
+        style: dict[str, Any] = {"colors": "#e8eaed", "linewidths": 0.8, "zorder": 0.5}
+        axes.add_collection(LineCollection(lines, transform=transform, **style), autolim=False)
+    ticks = Line2D(*place(values, np.full(len(values), edge)), ls="", marker=marker, ms=3.5, mew=0.8, color=MUTED)
+    ticks.set(transform=transform, clip_on=False, zorder=2.01)
+    axes.add_artist(ticks)
+    for value, label in zip(values, labels, strict=False):
+        axes.text(*place(value, edge), label, transform=transform + shift(label_pt), ha=ha, va=va, color=MUTED)
+    if title:
+        rotation, beside = 0 if is_row else 90, axes.transAxes + shift(title_pt)
+        axes.text(
+            *place(0.5, edge), title, transform=beside, rotation=rotation, ha="center", va=va if is_row else "center"
+        )
+
+
+_SCALES: dict[Side, tuple[int, float, float, str, str]] = {
+    "bottom": (3, -7.0, -22.0, "center", "top"),
+    "left": (0, -7.0, -44.0, "right", "center_baseline"),
+    "right": (1, 7.0, 38.0, "left", "center_baseline"),
+}
+"""Side → matplotlib's marker for its ticks, distance of labels and of the title from the axes [pt], and alignments."""
+
+
+def choose_ticks(low: float, high: float, most: int) -> tuple[list[float], list[str]]:
+    """Choose at most about `most` round values between two limits, and format them with the digits that they need."""
+    from matplotlib.ticker import MaxNLocator
+
+    margin = 1e-9 * (high - low)
+    values = np.asarray(MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high), dtype=np.float64)
+    values = values[(values >= low - margin) & (values <= high + margin)]
+    tolerance = 1e-3 * (high - low) / most
+    digits = next((count for count in range(12) if (abs(values - np.round(values, count)) < tolerance).all()), 12)
+    return values.tolist(), [f"{value:.{digits}f}".replace("-", "−") for value in values + 0.0]
+
+
 def draw_tracks(
     figure: Figure, action: Action, signal: Signal, frequency_scale: Literal["linear", "log"], highest_hz: float
 ) -> None:
@@ -118,12 +197,11 @@ def draw_tracks(
     _draw_power(
         figure, axes["power"], signal, (left + width + 0.012, TRACKS_BOTTOM, 0.010, 0.315), frequency_scale, highest_hz
     )
+    times, labels = choose_ticks(0.0, end, 9)
     for name, panel in axes.items():
         panel.set_xlim(0.0, end)
-        panel.yaxis.set_label_coords(-0.085, 0.5)
-        if name != "power":
-            panel.tick_params(labelbottom=False)
-    axes["power"].set_xlabel("time [s]")
+        is_last = name == "power"
+        draw_scale(panel, "bottom", times, labels if is_last else (), "time [s]" if is_last else "", grid=not is_last)
 
 
 def draw_spectrum(figure: Figure, signal: Signal, bounds: tuple[float, float, float, float]) -> None:
@@ -134,23 +212,22 @@ def draw_spectrum(figure: Figure, signal: Signal, bounds: tuple[float, float, fl
     band = (spectrogram.frequency >= 4.0) & (spectrogram.frequency <= 1000.0)
     axes.set_xscale("log")
     axes.set_xlim(10.0, 1000.0)
-    axes.set_xticks([10, 20, 50, 100, 200, 500, 1000], labels=["10", "20", "50", "100", "200", "500", "1000"])
-    axes.set_xticks([], minor=True)
-    axes.set_xlabel("frequency [Hz]")
-    axes.set_ylabel("mean density [dB]")
     top = float(decibels[band].max(initial=-np.inf))
     if top >= SILENCE_DB:
         low = max(float(decibels[band].min()) - 3.0, top - DISPLAY_RANGE_DB)
         axes.fill_between(spectrogram.frequency[band], low, decibels[band], color=INK, alpha=0.1, lw=0)
         axes.plot(spectrogram.frequency[band], decibels[band], color=INK, lw=1.6)
         axes.set_ylim(low, top + 4.0)
+    marks = (10, 20, 50, 100, 200, 500, 1000)
+    draw_scale(axes, "bottom", marks, [str(mark) for mark in marks], "frequency [Hz]")
+    draw_scale(axes, "left", *choose_ticks(*axes.get_ylim(), 7), "mean density [dB]")
 
 
 def _draw_action(axes: Axes, action: Action, values: NDArray[np.float64], name: str, unit: str, colour: str) -> None:
     axes.fill_between(action.time, values, color=colour, alpha=0.16, lw=0)
     axes.plot(action.time, values, color=colour, lw=2.0)
-    axes.set_ylabel(f"{name} [{unit}]")
     axes.set_ylim(0.0, 1.12 * max(float(np.max(values, initial=0.0)), 1e-3))
+    draw_scale(axes, "left", *choose_ticks(*axes.get_ylim(), 5), f"{name} [{unit}]")
     lifted = ~action.contact
     if (lifted[:-1] & lifted[1:]).any():  # a single instant has no width to hatch
         low, high = axes.get_ylim()
@@ -167,7 +244,7 @@ def _draw_wave(axes: Axes, signal: Signal) -> None:
     axes.fill_between(time, low, high, color=INK, lw=0.4)
     limit = 1.1 * max(float(np.abs(samples).max(initial=0.0)), 1e-6)
     axes.set_ylim(-limit, limit)
-    axes.set_ylabel("acceleration [m/s²]")
+    draw_scale(axes, "left", *choose_ticks(-limit, limit, 6), "acceleration [m/s²]")
 
 
 def _compute_column_ranges(
@@ -197,30 +274,41 @@ def _draw_power(
     decibels = np.maximum(power_to_db(spectrogram.power), -300.0)
     top = float(decibels.max())
     axes.grid(False)
-    axes.set_ylabel("frequency [Hz]")
     lowest = float(spectrogram.frequency[1])
     highest = min(highest_hz, float(spectrogram.frequency[-1]))
-    axes.set_yscale("log" if frequency_scale == "log" else "linear")
-    axes.set_ylim(lowest if frequency_scale == "log" else 0.0, highest)
+    is_log = frequency_scale == "log"
+    axes.set_yscale(frequency_scale)
+    axes.set_ylim(lowest if is_log else 0.0, highest)
+    marks = [10.0**decade for decade in range(6) if lowest <= 10.0**decade <= highest]
+    ticks = (marks, [f"{mark:g}" for mark in marks]) if is_log else choose_ticks(0.0, highest, 9)
+    draw_scale(axes, "left", *ticks, "frequency [Hz]", grid=False)
     if top < SILENCE_DB:
         axes.text(0.5, 0.5, "silent", transform=axes.transAxes, ha="center", va="center", color=MUTED, fontsize=16)
         return
     # Rows above the axis limit would cost drawing time. One more row is kept because colors interpolate between rows.
-    rows = slice(int(frequency_scale == "log"), int(np.searchsorted(spectrogram.frequency, highest)) + 1)
-    mesh = axes.pcolormesh(
-        spectrogram.time,
-        spectrogram.frequency[rows],
-        decibels[rows],
-        cmap=POWER_COLOUR_MAP,
-        vmin=top - DISPLAY_RANGE_DB,
-        vmax=top,
-        shading="gouraud" if len(spectrogram.time) > 1 else "nearest",
-        rasterized=True,
-    )
+    rows = slice(int(is_log), int(np.searchsorted(spectrogram.frequency, highest)) + 1)
+    shown, time, frequency = decibels[rows], spectrogram.time, spectrogram.frequency[rows]
+    style: dict[str, Any] = {"cmap": POWER_COLOUR_MAP, "vmin": top - DISPLAY_RANGE_DB, "vmax": top}
+    if is_log or len(time) == 1:
+        shading: Literal["gouraud", "nearest"] = "gouraud" if len(time) > 1 else "nearest"
+        axes.pcolormesh(time, frequency, shown, shading=shading, rasterized=True, **style)
+    else:  # the same, as its grid is even, in a fifth of the time
+        half_s, half_hz = (time[1] - time[0]) / 2.0, (frequency[1] - frequency[0]) / 2.0
+        extent = (time[0] - half_s, time[-1] + half_s, frequency[0] - half_hz, frequency[-1] + half_hz)
+        axes.imshow(shown, extent=extent, origin="lower", aspect="auto", interpolation="bilinear", **style)
+        axes.set_ylim(0.0, highest)
     axes.set_facecolor("#00224e")
-    scale = figure.colorbar(mesh, cax=figure.add_axes(bar))
-    scale.outline.set_visible(False)
-    scale.set_label("power density [dB re 1 (m/s²)²/Hz]")
+    scale = figure.add_axes(bar)
+    scale.imshow(
+        np.linspace(0.0, 1.0, 256)[:, None],
+        extent=(0.0, 1.0, style["vmin"], top),
+        origin="lower",
+        aspect="auto",
+        cmap=POWER_COLOUR_MAP,
+    )
+    scale.spines[:].set_visible(False)
+    scale.xaxis.set_visible(False)
+    draw_scale(scale, "right", *choose_ticks(style["vmin"], top, 8), "power density [dB re 1 (m/s²)²/Hz]", grid=False)
 
 
 Colour = tuple[float, float, float, float]
@@ -255,8 +343,8 @@ def force_to_colour(newtons: float) -> Colour:
 
 
 BACKGROUND = "#fbfbf9"
-PNG_COMPRESSION = 4
-"""Level of zlib: half the time of the usual 6 for 3 % more bytes."""
+PNG_OPTIONS = {"compress_level": 4, "compress_type": 3}
+"""Settings of zlib (Z_RLE): 0.6 of the time of its usual strategy, for fewer bytes on these figures."""
 STYLE: dict[str, Any] = {
     "font.family": ["DejaVu Sans"],
     "font.size": 10.5,
@@ -306,20 +394,42 @@ def write_figure(path: Path, size_px: tuple[int, int], draw: Callable[[Figure], 
         raise FileError(
             f"pictures need matplotlib ({error}).", where=str(path), remedy="Install it, or go without pictures."
         ) from error
-    with matplotlib.style.context(["default", STYLE]), warnings.catch_warnings():
+    with matplotlib.style.context(["default", STYLE]), warnings.catch_warnings(), _pause_collection():
         # Characters that the font lacks are drawn as boxes, which needs no warning on the terminal.
         warnings.filterwarnings("ignore", message="Glyph .* missing")
         figure = Figure(figsize=(size_px[0] / 100, size_px[1] / 100), dpi=100)
-        FigureCanvasAgg(figure)
+        canvas = FigureCanvasAgg(figure)
         draw(figure)
         buffer = io.BytesIO()
         software = f"Haptic Neural Fields {__version__}"
         if Path(path).suffix.lower() == ".svg":
             figure.savefig(buffer, format="svg", metadata={"Creator": software, "Date": None})
         else:
-            png_options = {"compress_level": PNG_COMPRESSION}
-            figure.savefig(buffer, format="png", dpi=100, metadata={"Software": software}, pil_kwargs=png_options)
+            _save_png(canvas, buffer, software)
     write_bytes(Path(path), buffer.getvalue())
+
+
+@contextmanager
+def _pause_collection() -> Iterator[None]:
+    """Switch Python's garbage collector off: it would search the many parts of a figure again and again for cycles."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+def _save_png(canvas: FigureCanvasAgg, buffer: io.BytesIO, software: str) -> None:
+    """Draw a figure and save it as PNG without an alpha channel, as all of it is opaque."""
+    from PIL import Image, PngImagePlugin
+
+    canvas.draw()
+    information = PngImagePlugin.PngInfo()
+    information.add_text("Software", software)
+    image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    image.save(buffer, format="png", dpi=(100, 100), pnginfo=information, **PNG_OPTIONS)
 
 
 def wrap_lines(lines: list[tuple[str, str]], width: int, max_rows: int) -> list[tuple[str, str]]:
@@ -383,6 +493,49 @@ def stretch_contrast(tactile: TactileMap) -> NDArray[np.float64]:
     covered = image[tactile.mask]
     mean = covered.mean(axis=0) if len(covered) else image.mean(axis=(0, 1))
     return np.where(tactile.mask[..., None], mean + (image - mean) * compute_contrast_gain(tactile), mean)
+
+
+THUMBNAIL_PX = 160
+"""Least side of a thumbnail [pixels], the size at which a stroke's figure draws it."""
+
+
+@dataclass(frozen=True)
+class MapThumbnail:
+    """Small image of a tactile map for people.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+        sRGB, with its contrast stretched.
+    caption : str
+        How the map was obtained, and its width.
+    """
+
+    rgb: NDArray[np.uint8]
+    caption: str
+
+
+def make_thumbnail(tactile: TactileMap) -> MapThumbnail:
+    """Shrink a tactile map to a thumbnail by means over squares of pixels."""
+    side = choose_thumbnail_step(tactile.mask)
+    covered = average_squares(tactile.mask, side)
+    image = average_squares(tactile.image * tactile.mask[..., None], side) / np.maximum(covered, 1e-9)[..., None]
+    small = replace(tactile, image=image.astype(np.float32), height=None, mask=covered > 0.0)
+    rgb = np.round(255.0 * linear_to_srgb(stretch_contrast(small))).astype(np.uint8)
+    width_mm = m_to_mm(tactile.image.shape[1] * tactile.metres_per_pixel)
+    return MapThumbnail(rgb, f"{tactile.route.value} relief, {width_mm:.3g} mm")
+
+
+def choose_thumbnail_step(mask: NDArray[np.bool_]) -> int:
+    """Return how many pixels of a map (H, W) along each axis become one of its thumbnail."""
+    return max(1, min(mask.shape) // THUMBNAIL_PX)
+
+
+def average_squares(values: NDArray[Any], side: int) -> Float:
+    """Return the means over squares of side × side pixels (H, W, …); the rest at the lower and right edge is cut."""
+    rows, columns = (length // side for length in values.shape[:2])
+    cut = np.asarray(values[: rows * side, : columns * side], dtype=np.float64)
+    return np.asarray(cut.reshape(rows, side, columns, side, *values.shape[2:]).mean(axis=(1, 3)))
 
 
 def write_tactile_map_figure(path: Path, tactile: TactileMap, title: str, facts: Sequence[str] = ()) -> None:

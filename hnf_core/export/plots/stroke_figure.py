@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from ...action.action import Action
 from ...signal import Signal
-from ...tactile.tactile_map import TactileMap
 from ...units import linear_to_srgb
 from .figure import (
     MUTED,
     TRACKS_BOTTOM,
+    MapThumbnail,
+    draw_scale,
     draw_spectrum,
     draw_tracks,
     force_to_colour,
-    stretch_contrast,
     wrap_lines,
     write_figure,
 )
@@ -133,11 +133,11 @@ def _draw_colour_bar(axes: Axes) -> None:
     axes.imshow(
         _forces_to_colours(force)[None], extent=(0.0, along[-1], 0.0, 1.0), aspect="auto", interpolation="nearest"
     )
-    axes.set_yticks([])
-    axes.set_xticks(along.tolist(), labels=[f"{newtons:g}" for newtons in FORCE_TICKS_N])
-    axes.grid(False)
+    axes.yaxis.set_visible(False)
     axes.spines[:].set_visible(False)
-    axes.set_xlabel("normal force [N]")
+    draw_scale(
+        axes, "bottom", along.tolist(), [f"{newtons:g}" for newtons in FORCE_TICKS_N], "normal force [N]", grid=False
+    )
 
 
 def _force_to_bar_position(force: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -208,7 +208,7 @@ def write_stroke_figure(
     action: Action,
     signal: Signal,
     view: StrokeView | None = None,
-    tactile: TactileMap | None = None,
+    tactile: MapThumbnail | None = None,
     facts: Mapping[str, str] | None = None,
     frequency_scale: Literal["linear", "log"] = "linear",
     highest_hz: float = 1000.0,
@@ -230,8 +230,8 @@ def write_stroke_figure(
         Its signal in m/s².
     view : StrokeView or None
         Rendered view with the path.
-    tactile : TactileMap or None
-        Tactile map of the surface, drawn with its route and stretched contrast.
+    tactile : MapThumbnail or None
+        Tactile map of the surface.
     facts : mapping of str to str, or None
         Labeled lines below the view (material, routes, confidence, …); seed, duration and RMS are added.
     frequency_scale : {"linear", "log"}
@@ -275,7 +275,7 @@ def _truncate(text: str, max_length: int) -> str:
 
 
 def _draw_view(
-    figure: Figure, view: StrokeView | None, tactile: TactileMap | None, lines: list[tuple[str, str]]
+    figure: Figure, view: StrokeView | None, tactile: MapThumbnail | None, lines: list[tuple[str, str]]
 ) -> float:
     """Draw the view, its color bar, the facts and the tactile map in the left column; return their lower end.
 
@@ -294,8 +294,9 @@ def _draw_view(
         bottom = top - full_height * scale
         axes = figure.add_axes((left + width * (1 - scale) / 2, bottom, width * scale, full_height * scale))
         axes.imshow(linear_to_srgb(view.rgb), extent=(0, columns, height, 0), interpolation="antialiased")
-        axes.set(xlim=(0, columns), ylim=(height, 0), xticks=[], yticks=[])
-        axes.grid(False)
+        axes.set(xlim=(0, columns), ylim=(height, 0))
+        axes.xaxis.set_visible(False)
+        axes.yaxis.set_visible(False)
         draw_path(figure, axes, view, (left, bottom - 0.028, width, 0.014))
         bottom -= 0.085
     for number, (label, row) in enumerate(rows):
@@ -308,16 +309,14 @@ def _draw_view(
     return bottom - below
 
 
-def _draw_map(figure: Figure, tactile: TactileMap, left: float, top: float) -> None:
-    """Draw a tactile map as a square with its upper edge at `top`, and below it its width and how it was obtained.
+def _draw_map(figure: Figure, tactile: MapThumbnail, left: float, top: float) -> None:
+    """Draw a tactile map as a square with its upper edge at `top`, and its caption below.
 
     `left` and `top` are in fractions of the figure.
     """
     height = MAP_WIDTH * SIZE_PX[0] / SIZE_PX[1]
     axes = figure.add_axes((left, top - height, MAP_WIDTH, height))
-    axes.imshow(linear_to_srgb(stretch_contrast(tactile)), interpolation="antialiased")
-    axes.set(xticks=[], yticks=[])
-    axes.grid(False)
-    width_mm = tactile.image.shape[1] * tactile.metres_per_pixel * 1e3
-    caption = f"{tactile.route.value} relief, {width_mm:.3g} mm"
-    figure.text(left + MAP_WIDTH / 2, top - height - 0.02, caption, color=MUTED, ha="center", fontsize=9)
+    axes.imshow(tactile.rgb, interpolation="antialiased")
+    axes.xaxis.set_visible(False)
+    axes.yaxis.set_visible(False)
+    figure.text(left + MAP_WIDTH / 2, top - height - 0.02, tactile.caption, color=MUTED, ha="center", fontsize=9)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hnf_core.action.action import Action
 from hnf_core.errors import FileError
 from hnf_core.export.plots import stroke_figure as picture
-from hnf_core.export.plots.figure import compute_spectrogram, force_to_colour
+from hnf_core.export.plots.figure import compute_spectrogram, force_to_colour, make_thumbnail
 from hnf_core.export.plots.stroke_figure import StrokeView, write_stroke_figure
 from hnf_core.signal import Signal
 from hnf_core.tactile.tactile_map import Route, TactileMap
@@ -158,7 +158,7 @@ def test_a_tactile_map_is_shown_beside_the_facts(tmp_path: Path, route: Route) -
     half = np.where(np.arange(64)[:, None] < 32, 0.02, -0.02)
     lit = np.broadcast_to(0.5 + half[..., None] * np.array([1.0, -1.0, 0.0]), (64, 64, 3)).astype(np.float32)
     tactile = TactileMap(lit, None, np.ones((64, 64), bool), 312.5e-6, "gelsight", 625e-6, route)
-    for name, shown in (("without.png", None), ("with.png", tactile)):
+    for name, shown in (("without.png", None), ("with.png", make_thumbnail(tactile))):
         write_stroke_figure(
             tmp_path / name, title="A", action=action(), signal=signal(), view=view(), tactile=shown,
             facts={"Routes": "8–1 mm " + route.value},
