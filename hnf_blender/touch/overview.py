@@ -74,8 +74,8 @@ def clip_obstacles(camera: Camera, depth: Float, visible_depth: Float, clearance
 WIDTH, HEIGHT = 512, 288
 """Size of the view [pixels]."""
 SAMPLES = 1
-"""Samples per pixel with a denoiser. The view only has to show where the stroke is; 768 × 432 pixels of two samples
-cost five times as much, and show ridges a few pixels wide hardly better."""
+"""Samples per pixel with a denoiser. The view only has to show where the stroke is. 768 × 432 pixels would cost twice
+as much and show ridges as wide as theirs; the error hardly changes (docs/benchmarks.md)."""
 SAMPLES_UNDENOISED = 12
 """Samples per pixel without a denoiser."""
 MIN_STROKE_FRACTION = 0.08
