@@ -71,11 +71,11 @@ def clip_obstacles(camera: Camera, depth: Float, visible_depth: Float, clearance
     return replace(camera, clip_start=max(nearest - clearance_m, (float(obstacle_depth.max()) + nearest) / 2.0))
 
 
-WIDTH, HEIGHT = 512, 288
+WIDTH, HEIGHT = 768, 432
 """Size of the view [pixels]."""
 SAMPLES = 1
-"""Samples per pixel with a denoiser. The view only has to show where the stroke is. 768 × 432 pixels would cost twice
-as much and show ridges as wide as theirs; the error hardly changes (docs/benchmarks.md)."""
+"""Samples per pixel with a denoiser. The view has to show where the stroke is, and on which ridges: 512 × 288 pixels
+would cost half as much and lose those (docs/benchmarks.md)."""
 SAMPLES_UNDENOISED = 12
 """Samples per pixel without a denoiser."""
 MIN_STROKE_FRACTION = 0.08
