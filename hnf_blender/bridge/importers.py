@@ -600,7 +600,8 @@ def _check_import(scene: Any, path: Path) -> None:
     elif len(scene.objects):
         problem, remedy = "holds no mesh: there is no surface to touch.", "Export the meshes too."
     else:
-        problem, remedy = "nothing could be imported from it.", "The file is empty or damaged; export it again."
+        problem = "nothing could be imported from it."
+        remedy = "It is empty, or holds materials or changes to another file alone: open the file that shows the object."
     raise SceneError(problem, where=str(path), remedy=remedy)
 
 

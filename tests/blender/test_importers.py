@@ -288,6 +288,13 @@ def test_edges_alone_are_refused(tmp_path: Path) -> None:
         open_scene(tmp_path / "wire.obj")
 
 
+@pytest.mark.parametrize("content", ['over "Steel" {}', 'class "Steel" {}'])
+def test_a_layer_of_changes_alone_is_refused_as_such(tmp_path: Path, content: str) -> None:
+    (tmp_path / "look.usda").write_text(f"#usda 1.0\n\n{content}\n")
+    with pytest.raises(SceneError, match="materials or changes to another file alone: open the file"):
+        open_scene(tmp_path / "look.usda")
+
+
 def test_a_gltf_without_meshes_is_refused(tmp_path: Path) -> None:
     document = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"name": "Nothing"}], "scene": 0}
     (tmp_path / "a.gltf").write_text(json.dumps(document))
