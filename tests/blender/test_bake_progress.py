@@ -97,7 +97,9 @@ def test_the_command_updates_its_report_after_every_stroke(tmp_path, three_strok
     code, report = touch(scene, out)
     assert code == 0
     assert written == [0, 1, 2, 3]
-    assert states[-1].stage == "saving"
+    stages = [state.stage for state in states]
+    assert stages.index("saving") < stages.index("A: picture")
+    assert stages[-1] == "C: picture"  # what is heard is saved before what is seen
     states.clear()
     code, report = touch(scene, tmp_path / "other", "--at", query.name)
     assert code == 0
