@@ -601,7 +601,9 @@ def _check_import(scene: Any, path: Path) -> None:
         problem, remedy = "holds no mesh: there is no surface to touch.", "Export the meshes too."
     else:
         problem = "nothing could be imported from it."
-        remedy = "It is empty, or holds materials or changes to another file alone: open the file that shows the object."
+        remedy = (
+            "It is empty, or holds materials or changes to another file alone: open the file that shows the object."
+        )
     raise SceneError(problem, where=str(path), remedy=remedy)
 
 

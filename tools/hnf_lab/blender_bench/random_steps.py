@@ -289,11 +289,12 @@ class Walk:
 
 
 def wait_for_preview() -> None:
-    """Wait until no thread of the preview runs.
+    """Bring the scene up to date, which may ask for a preview, and wait until no thread makes one.
 
     An operator that a script calls gives Python's lock away, and Blender reads Python's objects meanwhile: with another
     thread at work 7 of 8 walks of 500 steps ended in its crash (undo_push). A user's operators are no script's.
     """
+    bpy.context.view_layer.update()
     until = time.monotonic() + 30.0
     while PREVIEW.synthesis_thread is not None and PREVIEW.synthesis_thread.is_busy and time.monotonic() < until:
         time.sleep(0.002)
