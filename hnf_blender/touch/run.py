@@ -7,7 +7,6 @@ each result, warnings, and what to do next.
 from __future__ import annotations
 
 import contextlib
-import gc
 import shlex
 import signal
 import sys
@@ -420,16 +419,6 @@ def _draw_pictures(
     session: Session, due: Sequence[_DuePicture], views: StrokeViews, report: Report, progress: ProgressCallback
 ) -> None:
     """Draw pictures of strokes whose WAVs are written; one that fails is listed in the report."""
-    gc.freeze()  # what the bake has made stays; to search it for cycles again and again takes longer
-    try:
-        _draw_each(session, due, views, report, progress)
-    finally:
-        gc.unfreeze()
-
-
-def _draw_each(
-    session: Session, due: Sequence[_DuePicture], views: StrokeViews, report: Report, progress: ProgressCallback
-) -> None:
     folder, written = session.request.folder, time.monotonic()
     index = {stroke.name: number for number, stroke in enumerate(report.strokes)}
     for done, each in enumerate(due):
