@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
+
+WORK_LOCK = threading.Lock()
+"""Held by a thread while it computes, and while an operator reads an overridden context."""
 
 
 def version() -> tuple[int, int, int]:
@@ -19,6 +25,21 @@ def version_text() -> str:
     import bpy
 
     return str(bpy.app.version_string)
+
+
+@contextmanager
+def override_context(**members: Any) -> Iterator[None]:
+    """Override members of the context for an operator, while no thread of ours computes.
+
+    Notes
+    -----
+    A script's operator gives Python's lock away. With Python 3.11 (Blender 5.0 and earlier) Blender takes the lock of
+    *any* thread for its own then, and reads the override without one: it crashes where another thread runs.
+    """
+    import bpy
+
+    with WORK_LOCK, bpy.context.temp_override(**members):
+        yield
 
 
 def beside_the_file() -> set[str]:

@@ -82,7 +82,7 @@ def open_graph_editor(context: Any) -> Any:
     views = [area for area in areas if area.type == "VIEW_3D"] or list(areas)
     largest = max(views, key=lambda area: area.width * area.height)
     previous_areas = {area.as_pointer() for area in areas}
-    with context.temp_override(window=window, area=largest):
+    with compat.override_context(window=window, area=largest):
         split = bpy.ops.screen.area_split(direction="HORIZONTAL", factor=GRAPH_AREA_SHARE)
     added = [area for area in window.screen.areas if area.as_pointer() not in previous_areas]
     if "FINISHED" not in split or not added:
@@ -111,7 +111,7 @@ def _fit_view(screen_name: str, area_index: int, flat: bool) -> None:
         area = window.screen.areas[area_index]
         region = next((region for region in area.regions if region.type == "WINDOW"), None)
         if area.type == "GRAPH_EDITOR" and region is not None:
-            with bpy.context.temp_override(window=window, area=area, region=region):
+            with compat.override_context(window=window, area=area, region=region):
                 _frame_all(flat)
 
 

@@ -29,6 +29,7 @@ from hnf_core.material.fuse import LOUDEST_M_S2
 from hnf_core.signal import Signal
 from hnf_core.units import seconds_to_frame
 
+from .. import compat
 from ..bridge.scene.stored_data import get_property
 from ..bridge.stroke.animation import read_channel, sample_channels
 from ..props.stroke_settings import FORCE_MAX_N
@@ -293,7 +294,8 @@ class SynthesisThread:
                 self._busy = True
             outcome: Outcome | None
             try:
-                outcome = synthesise_preview(current, style, self._cache, lambda name=name: self._is_superseded(name))  # type: ignore[misc]
+                with compat.WORK_LOCK:
+                    outcome = synthesise_preview(current, style, self._cache, lambda name=name: self._is_superseded(name))  # type: ignore[misc]
             except Superseded:
                 outcome = None
             except HnfError as error:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import re
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -63,3 +66,57 @@ def test_a_relative_export_folder_gives_no_warning():
         warnings.simplefilter("error")
         bpy.context.scene.hnf.export_folder = "//elsewhere"
     assert bpy.context.scene.hnf.export_folder == "//elsewhere"
+
+
+BESIDE_A_THREAD = """
+import threading
+import bpy
+import numpy as np
+from hnf_blender import compat
+
+is_ended = False
+
+
+def work():
+    while not is_ended:
+        with compat.WORK_LOCK:
+            values = np.arange(100_000.0) + 1.0
+            [str(index) for index in range(200)]
+
+
+thread = threading.Thread(target=work)
+thread.start()
+for count in range(500):
+    with compat.override_context(window=bpy.context.window_manager.windows[0]):
+        bpy.ops.ed.undo_push(message=str(count))
+is_ended = True
+thread.join()
+print("ended")
+"""
+
+
+def test_an_operator_with_an_overridden_context_survives_a_thread_at_work():
+    """Without the lock Blender 5.0 crashes within some hundred calls."""
+    command = [sys.executable, "-c", BESIDE_A_THREAD]
+    ended = subprocess.run(command, cwd=Path(compat.__file__).parents[1], capture_output=True, text=True, timeout=120)
+    assert (ended.returncode, ended.stdout.splitlines()[-1:]) == (0, ["ended"]), ended.stderr
+
+
+def find_unlocked_operators(text: str) -> list[int]:
+    """Return the lines of operators that are called under Blender's own override."""
+    overrides = [
+        node
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.With) and any("temp_override" in ast.unparse(item) for item in node.items)
+    ]
+    calls = [node for override in overrides for node in ast.walk(override) if isinstance(node, ast.Call)]
+    return sorted({call.lineno for call in calls if "bpy.ops." in ast.unparse(call.func)})
+
+
+def test_no_operator_is_called_under_an_override_without_the_lock():
+    breach = "with bpy.context.temp_override(window=window):\n    bpy.ops.ed.undo()\n"
+    assert find_unlocked_operators(breach) == [2]
+    assert find_unlocked_operators(breach.replace("bpy.context.temp_", "compat.").replace("(w", "_context(w")) == []
+    package = Path(compat.__file__).parent
+    found = {path.name: find_unlocked_operators(path.read_text(encoding="utf-8")) for path in package.rglob("*.py")}
+    assert {name: lines for name, lines in found.items() if lines} == {}

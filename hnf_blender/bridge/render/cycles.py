@@ -136,7 +136,7 @@ def render_passes(temporary: TemporaryScene) -> dict[str, NDArray[np.float32]]:
     try:
         # An operator updates its context's view layer. With the temporary one the cost does not depend on the user's
         # scene.
-        with suppress_output(), bpy.context.temp_override(scene=temporary.scene, view_layer=temporary.view_layer):
+        with suppress_output(), compat.override_context(scene=temporary.scene, view_layer=temporary.view_layer):
             bpy.ops.render.render(scene=temporary.scene.name, layer=temporary.view_layer.name, write_still=True)
     except RuntimeError as error:
         raise SceneError(f"Blender could not render ({error}).", where="close-up") from error

@@ -291,8 +291,8 @@ class Walk:
 def wait_for_preview() -> None:
     """Bring the scene up to date, which may ask for a preview, and wait until no thread makes one.
 
-    An operator that a script calls gives Python's lock away, and Blender reads Python's objects meanwhile: with another
-    thread at work 7 of 8 walks of 500 steps ended in its crash (undo_push). A user's operators are no script's.
+    A script's operator with an overridden context must not run beside another thread (`compat.override_context`): 7 of
+    8 walks of 500 steps crashed in undo_push. A step may itself wait for a preview, so that no lock is held here.
     """
     bpy.context.view_layer.update()
     until = time.monotonic() + 30.0
