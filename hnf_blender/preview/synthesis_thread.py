@@ -13,7 +13,7 @@ import traceback
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import bpy
@@ -295,7 +295,7 @@ class SynthesisThread:
             outcome: Outcome | None
             try:
                 with compat.WORK_LOCK:
-                    outcome = synthesise_preview(current, style, self._cache, lambda name=name: self._is_superseded(name))  # type: ignore[misc]
+                    outcome = synthesise_preview(current, style, self._cache, partial(self._is_superseded, name))
             except Superseded:
                 outcome = None
             except HnfError as error:

@@ -126,7 +126,16 @@ def test_words_in_the_text_are_words_of_the_programs(page: Path) -> None:
             assert {word for word in words if word.startswith("--")} <= known[words[1]], code
 
 
+PLACEHOLDER = re.compile(r"@@\w+@@|\{\{\s*\w+\s*\}\}|\bTO" r"DO\b|\bFIX" r"ME\b|\bTBD\b")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_page_waits_for_its_figures(page: Path) -> None:
+    assert PLACEHOLDER.findall(prose(page)) == []
+
+
 def test_the_checks_see_something() -> None:
+    assert len(PLACEHOLDER.findall("@@TABLES@@ {{ value }} TBD")) == 3
     lines = [line for page in PAGES for line in commands(page)]
     assert sum(HNF.search(line) is not None for line in lines) > 12
     assert "make demo" in [line.split("  ")[0].strip() for line in lines]

@@ -501,7 +501,7 @@ def _format_bridging(measured: Sequence[Measurement]) -> str:
         if (retrieval := result.bridged) is not None
     ]
     head = [
-        "DIGIT patches attached to GelSight tuples of other places by the nearest neighbour.", "",
+        "DIGIT patches attached to GelSight tuples of other places by the nearest neighbor.", "",
         "| trained on | triplets | of one class % | of one piece % | chance of one class % | mutual | of one class % |",
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
