@@ -41,7 +41,7 @@ OPTIONAL_PACKAGES = (
     Package("bpy", "no scene is opened at a shell: touch runs in Blender alone (blender -b --command hnf touch …)"),
     Package("OpenEXR", "close-ups cannot be read: touch does not work"),
     Package("embreex", "rays are cast more slowly"),
-    Package("safetensors", "weights cannot be read: nothing is synthesised"),
+    Package("safetensors", "weights cannot be read: nothing is synthesized"),
     Package("matplotlib", "no pictures of strokes and no plots"),
     Package("torch", "no training; touching and synthesis do not need it"),
     Package("sounddevice", "no playing by the sound card (stream --to audio)"),

@@ -59,7 +59,7 @@ def linear_to_srgb(rgb: NDArray[Any]) -> NDArray[np.float64]:
 
 MIN_LENGTH_M, MAX_LENGTH_M = 1e-4, 1e4
 """Accepted known lengths [m]."""
-MIN_METRES_PER_UNIT, MAX_METRES_PER_UNIT = 1e-6, 1e6
+MIN_METERS_PER_UNIT, MAX_METERS_PER_UNIT = 1e-6, 1e6
 """Accepted scales [m per unit]."""
 
 
@@ -89,16 +89,16 @@ def compute_metric_scale(point_a: ArrayLike, point_b: ArrayLike, length_m: float
     if not MIN_LENGTH_M <= length_m <= MAX_LENGTH_M:
         raise UsageError(
             f"{length_m} m is no length to measure with.",
-            remedy="Give the metres between the two points, from 0.1 mm to 10 km.",
+            remedy="Give the meters between the two points, from 0.1 mm to 10 km.",
         )
     units = float(np.linalg.norm(b / 2.0 - a / 2.0) * 2.0)
     spread = float(max(np.abs(a).max(), np.abs(b).max()))
     if units <= 1e-6 * spread or units == 0.0:
         raise UsageError("both points are the same.", remedy="Choose two points that lie apart.")
     scale = length_m / units
-    if not MIN_METRES_PER_UNIT <= scale <= MAX_METRES_PER_UNIT:
+    if not MIN_METERS_PER_UNIT <= scale <= MAX_METERS_PER_UNIT:
         raise UsageError(
             f"a unit would be {scale:.3g} m.",
-            remedy="Check the length and both points: they should be on the object, and the length in metres.",
+            remedy="Check the length and both points: they should be on the object, and the length in meters.",
         )
     return float(scale)

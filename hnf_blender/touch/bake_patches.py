@@ -179,7 +179,7 @@ def explain_skipped(unlit: UnlitImage) -> str:
             f"{MAX_READABLE_WAVELENGTH_M * 1e3:g} mm is needed to estimate relief from it; its name and look decide"
         )
     return (
-        "its picture is of one colour there, or too little of it is seen in one piece, to estimate relief from it; its "
+        "its picture is of one color there, or too little of it is seen in one piece, to estimate relief from it; its "
         "name and look decide"
     )
 

@@ -497,7 +497,7 @@ def _format_route(slot: SlotPlan, predictions: int) -> str:
     return f"    {slot.material or 'no material'}: {slot.route.value} ({slot.why}{unless}){cost}"
 
 
-TOO_COARSE_NOTE = f"its picture shows no waves below {MAX_READABLE_WAVELENGTH_M * 1e3:g} mm, or one colour"
+TOO_COARSE_NOTE = f"its picture shows no waves below {MAX_READABLE_WAVELENGTH_M * 1e3:g} mm, or one color"
 """Finding of a close-up that makes the route of a slot prior, where the plan expected to predict its relief."""
 
 
@@ -602,7 +602,7 @@ def plan_object_slots(session: Session, obj: Any, material: str = "") -> tuple[S
     why = (
         f"no relief, but splats of {facts.splat_source} show it"
         if facts.splat_source
-        else "no relief, but its colour varies"
+        else "no relief, but its color varies"
     )
     return tuple(
         _plan_slot(

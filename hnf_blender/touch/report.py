@@ -220,7 +220,7 @@ def _replace_non_finite(value: Any) -> Any:
 
 
 OPTION_FOR_TAB_PLACE = {
-    "Units in the Touch tab": "--scale METRES_PER_UNIT",
+    "Units in the Touch tab": "--scale METERS_PER_UNIT",
     "Feels in the Touch tab": "--material OBJECT[:SLOT]=NAME",
     "Materials in the Touch tab": "--height-as-authored",
 }

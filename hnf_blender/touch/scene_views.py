@@ -70,7 +70,7 @@ def write_views(request: ViewsRequest) -> int:
         written = {"folder": str(request.out), "transforms": TRANSFORMS_FILE, "metres_per_unit": metres, "views": views}
         print(json.dumps({**written, **ids, "notes": list(dict.fromkeys(notes))}, indent=1))
     else:
-        print(f"{request.out / TRANSFORMS_FILE}: {pluralize(len(frames), 'camera')}, in metres")
+        print(f"{request.out / TRANSFORMS_FILE}: {pluralize(len(frames), 'camera')}, in meters")
     sys.stdout.flush()
     for note in dict.fromkeys(notes):
         print(f"note: {note}", file=sys.stderr)

@@ -24,6 +24,8 @@ CROSSING_MARGIN_M = 0.5e-3
 on each other, such as a copy, the own one is touched."""
 LEAST_SEAM_M = 5e-6
 """Difference in height below which a seam is no step [m]; objects that were placed by eye differ by less."""
+PARALLEL = 1e-4
+"""Sine of the angle between two surfaces below which they do not meet in a fold."""
 SAME_SEAM_M = 1e-3
 """Distance along the path within which two crossings, there and back, are one seam [m]."""
 
@@ -105,17 +107,33 @@ def join_contacts(parts: Sequence[Contacts], owner: Int32) -> Contacts:
 def find_seams(contacts: Contacts, owner: Int32) -> tuple[Seam, ...]:
     """Find where a path passes from one object to another without losing contact.
 
-    `owner` (n,) is the object of each sample of the joined contacts, −1 without contact.
+    `owner` (n,) is the object of each sample of the joined contacts, −1 without contact. Where the two surfaces meet in
+    a fold between the samples, there is no step.
     """
     seams: list[Seam] = []
     for i in np.flatnonzero((owner[1:] != owner[:-1]) & (owner[1:] >= 0) & (owner[:-1] >= 0)):
         travel = contacts.position[i + 1] - contacts.position[i]
         normal = contacts.normal[i] + contacts.normal[i + 1]
         length = float(np.linalg.norm(normal))
-        if travel == 0.0 or length < 1e-6:
+        if travel == 0.0 or length < 1e-6 or _meet_in_fold(contacts, i):
             continue
         step = float((contacts.point[i + 1] - contacts.point[i]) @ normal) / length * float(np.sign(travel))
         place = float(contacts.position[i] + contacts.position[i + 1]) / 2.0
-        if abs(step) >= LEAST_SEAM_M and all(abs(seam.position_m - place) > SAME_SEAM_M for seam in seams):
+        # The other edge of a narrow object is as near as a second crossing of the same one, but goes the other way.
+        is_known = any(abs(seam.position_m - place) <= SAME_SEAM_M and seam.step_m * step > 0.0 for seam in seams)
+        if abs(step) >= LEAST_SEAM_M and not is_known:
             seams.append(Seam(place, step))
     return tuple(seams)
+
+
+def _meet_in_fold(contacts: Contacts, i: int) -> bool:
+    """Return True if the tangent planes of samples i and i + 1 meet between the two, along the way."""
+    way = contacts.point[i + 1] - contacts.point[i]
+    chord = float(np.linalg.norm(way))
+    for normal, other in ((contacts.normal[i], contacts.normal[i + 1]), (contacts.normal[i + 1], contacts.normal[i])):
+        along = way - (way @ normal) * normal
+        length = float(np.linalg.norm(along))
+        turn = float(along @ other) / length if length > 0.0 else 0.0
+        if abs(turn) < PARALLEL or not -PARALLEL <= float(way @ other) / (turn * chord) <= 1.0 + PARALLEL:
+            return False
+    return True

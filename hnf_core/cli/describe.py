@@ -90,7 +90,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     )
     parser.add_argument("image", nargs="?", type=Path, metavar="IMAGE", help="picture of the pressed sensor")
     add_touch_options(parser)
-    parser.add_argument("--height", type=Path, metavar="FILE.exr|.npy", help="write the height in metres")
+    parser.add_argument("--height", type=Path, metavar="FILE.exr|.npy", help="write the height in meters")
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw the tactile map")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.add_argument(

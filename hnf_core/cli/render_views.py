@@ -77,7 +77,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "--samples", type=int, default=DEFAULT_SAMPLES, metavar="N",
         help="samples per pixel of the color, which is denoised (default: %(default)s); all else is exact",
     )  # fmt: skip
-    parser.add_argument("--scale", type=float, metavar="METRES_PER_UNIT", help="length of one scene unit in metres")
+    parser.add_argument("--scale", type=float, metavar="METERS_PER_UNIT", help="length of one scene unit in meters")
     parser.add_argument("--json", action="store_true", help="print what was written as JSON")
     return parser
 
@@ -89,7 +89,7 @@ def make_views_request(arguments: argparse.Namespace) -> ViewsRequest:
     if arguments.frame is not None and not abs(arguments.frame) <= 1e6:
         raise UsageError(f"--frame {arguments.frame:g}: no frame of a scene.", remedy="Example: --frame 12")
     if arguments.scale is not None and not (math.isfinite(arguments.scale) and arguments.scale > 0.0):
-        raise UsageError("--scale must be a positive number of metres per unit.", remedy="Example: --scale 0.01")
+        raise UsageError("--scale must be a positive number of meters per unit.", remedy="Example: --scale 0.01")
     return ViewsRequest(
         arguments.scene, arguments.out, tuple(dict.fromkeys(arguments.cameras)), arguments.frame,
         _parse_size(arguments.size), arguments.samples, arguments.scale, arguments.json,

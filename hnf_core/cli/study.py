@@ -37,7 +37,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 def _add_stimuli(steps: Any) -> None:
     parser = steps.add_parser(
         "stimuli",
-        help="cut pieces of recorded textures, and synthesise the same strokes",
+        help="cut pieces of recorded textures, and synthesize the same strokes",
         description="Write DIR/recorded and DIR/ours, a WAV per texture, and DIR/actions, the strokes as tables from "
         "which other methods can render theirs. Then: hnf study make.",
     )
@@ -51,7 +51,7 @@ def _add_stimuli(steps: Any) -> None:
         help="its textures, and the library material that renders each (default: the one that the name suggests)",
     )  # fmt: skip
     parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="length of each (default 3)")
-    parser.add_argument("--seed", type=parse_seed, default=0, metavar="N", help="of what is synthesised")
+    parser.add_argument("--seed", type=parse_seed, default=0, metavar="N", help="of what is synthesized")
     parser.set_defaults(run_step=_run_stimuli)
 
 

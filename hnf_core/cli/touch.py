@@ -82,7 +82,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "--no-pictures", action="store_false", dest="pictures",
         help="draw no pictures of the strokes: sound, report and .blend alone, sooner",
     )  # fmt: skip
-    parser.add_argument("--scale", type=float, metavar="METRES_PER_UNIT", help="length of one scene unit in metres")
+    parser.add_argument("--scale", type=float, metavar="METERS_PER_UNIT", help="length of one scene unit in meters")
     parser.add_argument("--seed", type=parse_seed, metavar="N", help="seed of all strokes; default: each stroke's own")
     parser.add_argument("--plan", action="store_true", help="say what would be done, skipped and why; write nothing")
     parser.add_argument("--json", action="store_true", help="print the report (or the plan) as JSON")
@@ -99,7 +99,7 @@ def make_touch_request(arguments: argparse.Namespace) -> TouchRequest:
             else "Say which stroke goes there: --stroke WORDS --on OBJECT[:SLOT], for example --stroke rub-slow",
         )
     if arguments.scale is not None and not 0.0 < arguments.scale < float("inf"):
-        raise UsageError("--scale must be a positive number of metres per unit.", remedy="Example: --scale 0.01")
+        raise UsageError("--scale must be a positive number of meters per unit.", remedy="Example: --scale 0.01")
     request = TouchRequest(
         scene=arguments.scene,
         out=arguments.out,

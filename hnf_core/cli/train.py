@@ -44,7 +44,7 @@ def _add_tactile_map(subjects: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = subjects.add_parser(
         "tactile-map",
         help="the network that predicts tactile maps from a look",
-        description="Train D_φ (colour and depth → tactile map) on paired views and write its weights. A killed run "
+        description="Train D_φ (color and depth → tactile map) on paired views and write its weights. A killed run "
         "resumes where it was when the same command is given again. Needs the extra [train].",
     )
     parser.add_argument(
@@ -178,7 +178,7 @@ def _add_field(subjects: Any) -> None:
         "field",
         help="a field for one material",
         description="Train F_Θ for one material and write its weights for `hnf synth --weights`. Recordings are read "
-        "from the folder; where a data set holds texture models, strokes are first synthesised from them. A killed run "
+        "from the folder; where a data set holds texture models, strokes are first synthesized from them. A killed run "
         "resumes where it was when the same command is given again. Needs the extra [train].",
     )
     parser.add_argument(
@@ -189,7 +189,7 @@ def _add_field(subjects: Any) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="weights to write (.safetensors)")
     parser.add_argument(
         "--seconds", type=float, metavar="S",
-        help="strokes to synthesise from a model (default 480; published form: 20, its 200 windows)",
+        help="strokes to synthesize from a model (default 480; published form: 20, its 200 windows)",
     )  # fmt: skip
     parser.add_argument(
         "--source", choices=["model", "recordings"], help="where a data set has both (default: its model)"

@@ -142,7 +142,7 @@ def read_ball_presses(path: Path, ball_radius_px: float) -> BallPresses:
         raise FileError(f"frames are {frames.dtype}, expected 8 bits.", where=str(path), remedy=REMEDY)
     size = frames.shape[2], frames.shape[1]
     if centre.shape != (len(frames), 2) or not ((centre >= 0) & (centre < size)).all():
-        raise FileError("a ball's centre is outside its frame.", where=str(path), remedy=REMEDY)
+        raise FileError("a ball's center is outside its frame.", where=str(path), remedy=REMEDY)
     return BallPresses(
         frames[..., ::-1] / 255.0, background[..., ::-1] / 255.0, centre.astype(np.float64), ball_radius_px
     )

@@ -120,7 +120,7 @@ class TarfFolder:
                 remedy=f"Check that the view folders end in _{self.scale}.",
             )
         notes = (
-            "views are taken as sRGB, touch images as they are, depth as metres; the views' scale is unknown",
+            "views are taken as sRGB, touch images as they are, depth as meters; the views' scale is unknown",
             *format_left_out(left_out),
             *(f"{count} {problem}" for problem, count in lacking.items() if count),
         )

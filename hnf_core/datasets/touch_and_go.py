@@ -114,7 +114,7 @@ class TouchAndGoFolder:
         notes = (
             "views are taken as sRGB, touch images as they are; their scale is unknown; no background was recorded",
             *((f"no {LABEL_FILE}: no pair has a label",) if labels is None else ()),
-            *((f"{unlabelled} are labelled as undecided",) if labels is not None and unlabelled else ()),
+            *((f"{unlabelled} are labeled as undecided",) if labels is not None and unlabelled else ()),
             *format_left_out(left_out),
         )
         return FilePairs(tuple(entries), partial(read_pair, side=self.side), notes)
@@ -164,7 +164,7 @@ def read_labels(path: Path, left_out: Counter[str]) -> dict[tuple[str, str], int
         if not UNDECIDED_LABEL <= label < CLASS_COUNT:
             left_out[f"a class beyond 0 to {CLASS_COUNT - 1}"] += 1
         elif key in ambiguous or labels.get(key, label) != label:
-            left_out["labelled as two classes"] += 1 + (key not in ambiguous)
+            left_out["labeled as two classes"] += 1 + (key not in ambiguous)
             ambiguous.add(key)
             labels.pop(key, None)
         elif key in labels:

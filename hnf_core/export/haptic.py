@@ -43,7 +43,7 @@ VERSION = {"major": 1, "minor": 0, "patch": 0}
 _DIGITS = 6
 DROPPED = (
     "The waveform and its peaks: strength and frequency over time are kept, and a device plays one tone with them.",
-    "Loudness that changes within 10 ms, and all frequencies at a time but their centre.",
+    "Loudness that changes within 10 ms, and all frequencies at a time but their center.",
 )
 
 

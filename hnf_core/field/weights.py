@@ -279,7 +279,7 @@ def _check_carriers(carriers: Carriers) -> None:
     start = carriers.arc_start_per_m
     if not (start >= MIN_WAVENUMBER_PER_M and start * 2.0**carriers.arc_octaves <= MAX_WAVENUMBER_PER_M):
         raise ValueError(
-            f"arc carriers must lie between {MIN_WAVENUMBER_PER_M:g} and {MAX_WAVENUMBER_PER_M:g} cycles per metre"
+            f"arc carriers must lie between {MIN_WAVENUMBER_PER_M:g} and {MAX_WAVENUMBER_PER_M:g} cycles per meter"
         )
 
 

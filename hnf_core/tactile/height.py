@@ -248,8 +248,8 @@ def height_from_slopes(gx: ArrayLike, gy: ArrayLike, mask: ArrayLike, metres_per
 def _check_pixel_size(metres_per_pixel: float) -> None:
     if not MIN_PIXEL_M <= metres_per_pixel <= MAX_PIXEL_M:
         raise UsageError(
-            f"{metres_per_pixel:g} metres per pixel: a map's pixels measure {MIN_PIXEL_M:g} to {MAX_PIXEL_M:g} m.",
-            remedy="Give metres, not millimetres or pixels per metre.",
+            f"{metres_per_pixel:g} meters per pixel: a map's pixels measure {MIN_PIXEL_M:g} to {MAX_PIXEL_M:g} m.",
+            remedy="Give meters, not millimeters or pixels per meter.",
         )
 
 

@@ -83,7 +83,7 @@ def estimate_resolved_wavelength(
     if colour.ndim != 3 or visible.shape != colour.shape[:2]:
         raise UsageError(f"a picture {colour.shape} and its mask {visible.shape} do not fit together.")
     if not metres_per_pixel > 0:
-        raise UsageError("metres per pixel must be positive.")
+        raise UsageError("meters per pixel must be positive.")
     shortest_m = max(finest_m, 2.0 * metres_per_pixel)
     shortest_px = shortest_m / metres_per_pixel
     bands = _compute_band_powers(colour, compute_soft_window(visible), visible, shortest_px)

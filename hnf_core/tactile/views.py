@@ -94,12 +94,12 @@ def cut_views(
     """
     colour = np.asarray(rgb, dtype=np.float64)
     if colour.ndim != 3 or colour.shape[2] != 3 or min(colour.shape[:2]) < 2:
-        raise UsageError(f"a patch's colour must be (H, W, 3), not {colour.shape}.")
+        raise UsageError(f"a patch's color must be (H, W, 3), not {colour.shape}.")
     shape = (colour.shape[0], colour.shape[1])
     depth = np.full(shape, np.nan) if depth_m is None else np.asarray(depth_m, dtype=np.float64)
     visible = np.ones(shape, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
     if depth.shape != shape or visible.shape != shape:
-        raise UsageError(f"colour {shape}, depth {depth.shape} and mask {visible.shape} do not fit together.")
+        raise UsageError(f"color {shape}, depth {depth.shape} and mask {visible.shape} do not fit together.")
     layers = [np.where(visible, channel, np.nan) for channel in (*np.moveaxis(colour, -1, 0), depth)]
     return tuple(
         view
@@ -143,7 +143,7 @@ def find_view_corners(
         For lengths that are not positive.
     """
     if not metres_per_pixel > 0 or not resolved_wavelength_m > 0 or fine_count < 0:
-        raise UsageError("metres per pixel and the resolved wavelength must be positive, near must not be negative.")
+        raise UsageError("meters per pixel and the resolved wavelength must be positive, near must not be negative.")
     finest = max(resolved_wavelength_m / 2.0, metres_per_pixel) * (1.0 - RELATIVE_TOLERANCE)
     resolved = [pitch for pitch in PITCHES_M if pitch >= finest]
     fitting = [(pitch, corners) for pitch in resolved if len(corners := _list_corners(mask, pitch / metres_per_pixel))]

@@ -23,7 +23,7 @@ def test_a_picture_is_read_once_and_its_map_is_told(tmp_path, monkeypatch, capsy
     scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
     touch(scene, out, *WORDS, "--plan")
     assert (
-        "predicted (no relief, but its colour varies; prior if its picture shows no waves below 1 mm"
+        "predicted (no relief, but its color varies; prior if its picture shows no waves below 1 mm"
         in capsys.readouterr().out
     )
     code, report = touch(scene, out, *WORDS)

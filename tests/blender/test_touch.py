@@ -350,7 +350,7 @@ def test_the_scale_is_reported_and_can_be_given(tmp_path, capsys) -> None:
     (large,) = [warning for warning in report["warnings"] if "17 m across" in warning]
     assert "Units in the Touch tab" in large
     assert "--scale" not in large  # it is read in a panel, too
-    assert f"note: {large} Here: --scale METRES_PER_UNIT.\n" in capsys.readouterr().err
+    assert f"note: {large} Here: --scale METERS_PER_UNIT.\n" in capsys.readouterr().err
 
 
 def test_modifiers_and_shared_meshes_keep_their_tokens(tmp_path) -> None:

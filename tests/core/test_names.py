@@ -142,6 +142,22 @@ def long_test_names(tree: ast.Module) -> list[str]:
     ]
 
 
+BRITISH = re.compile(
+    r"(?<![\w{/.])(?:(?:centi|milli|kilo)?metres?|colours?|coloured|grey|centres?|centred|neighbour\w*|behaviour"
+    r"|synthesise\w*|normalise\w*|recognise\w*|labelled|unlabelled|modelled|travelled|cancelled|artefacts?)\b(?![}=\w])"
+)
+WORD_LISTS = {"name_matching", "stroke_tokens", "material_classes"}
+"""Words that people may use of materials and strokes, in any spelling."""
+
+
+def british_messages(tree: ast.Module, module: str) -> list[str]:
+    """Return British spellings in texts of more than a word that are no docstrings and no notes of constants."""
+    notes = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    texts = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
+    spoken = (node for node in texts if " " in node.value and id(node) not in notes and module not in WORD_LISTS)
+    return [f"line {node.lineno}: {found[0]}" for node in spoken if (found := BRITISH.search(node.value))]
+
+
 def breaches(rule) -> list[str]:
     files = python_files(*PRODUCT, LABORATORY)
     assert len(files) > 300
@@ -159,6 +175,10 @@ def test_names_are_in_the_fields_words() -> None:
 
 def test_docstrings_begin_with_a_verb_or_a_noun() -> None:
     assert breaches(dialect_docstrings) == []
+
+
+def test_messages_are_american() -> None:
+    assert breaches(british_messages) == []
 
 
 def test_no_file_name_has_two_meanings() -> None:
@@ -194,6 +214,8 @@ def test_test_names_are_short() -> None:
         (dialect_docstrings, 'LIMIT = 3\n"""What is enough."""'),
         (dialect_docstrings, 'class A:\n    limit: int = 3\n    """Of files."""'),
         (dialect_docstrings, 'class A:\n    """Where it stands."""'),
+        (british_messages, 'raise ValueError("its colour is unknown")'),
+        (british_messages, 'f"{unit:g} metres per unit"'),
     ],
 )
 def test_a_breach_of_words_is_caught(rule, source) -> None:

@@ -747,7 +747,7 @@ def _judge_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, notes: 
         name = slopes.images[0].name if slopes.images else slopes.source
         if kind == "grey":
             notes.append(
-                f"material '{rendered.slot.material}': its normal map '{name}' is a grey picture without normals: it "
+                f"material '{rendered.slot.material}': its normal map '{name}' is a gray picture without normals: it "
                 "is not used. If it shows heights, connect it to the Height of a Bump node."
             )
         elif kind:

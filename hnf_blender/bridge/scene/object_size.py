@@ -132,7 +132,7 @@ def get_metres_per_unit(scene: Any, override: float | None = None) -> float:
     if override is not None:
         rounded = c_float(override).value
         if not 0.0 < rounded < float("inf"):
-            raise SceneError(f"{override:g} metres per unit cannot be.", remedy="Give a positive number.")
+            raise SceneError(f"{override:g} meters per unit cannot be.", remedy="Give a positive number.")
         return rounded
     settings = scene.unit_settings
     return 1.0 if settings.system == "NONE" else float(settings.scale_length)
@@ -154,7 +154,7 @@ def get_size_warning(obj: Any, metres: float) -> str | None:
         return None
     size = f"{diagonal:.3g} m" if diagonal > 5.0 else f"{diagonal * 1e3:.3g} mm"
     if diagonal > 5.0:
-        unit = f"If it is drawn in centimetres, one unit is {metres * 0.01:g} m; in millimetres, {metres * 0.001:g} m"
+        unit = f"If it is drawn in centimeters, one unit is {metres * 0.01:g} m; in millimeters, {metres * 0.001:g} m"
     else:
         unit = f"Perhaps one unit is more than {metres:g} m"
     return f"object '{obj.name}' is {size} across. {unit}: set it under Units in the Touch tab."

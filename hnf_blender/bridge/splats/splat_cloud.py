@@ -76,7 +76,7 @@ def read_cloud(cloud: Any) -> Splats:
     ]
     if len(harmonics) not in COEFFICIENT_COUNTS:
         raise _unreadable_cloud_error(
-            where, f"it has {len(harmonics)} attributes of colour ({HARMONIC_ATTRIBUTE.format(0)}, …), not 1, 4, 9, 16"
+            where, f"it has {len(harmonics)} attributes of color ({HARMONIC_ATTRIBUTE.format(0)}, …), not 1, 4, 9, 16"
         )
     splats = Splats(
         means=means.reshape(-1, 3),

@@ -114,7 +114,7 @@ def draw_path(figure: Figure, axes: Axes, view: StrokeView, bar: tuple[float, fl
             zorder=5,
         )
     _draw_colour_bar(figure.add_axes(bar))
-    start = "pressed here, colour of the strongest" if is_dot else "start"
+    start = "pressed here, color of the strongest" if is_dot else "start"
     handles = [Line2D([], [], marker="o", ms=9, mfc="white", mec=CASING_COLOUR, mew=1.8, ls="", label=start)]
     if not is_dot:
         turns = len(segments) - 1

@@ -103,7 +103,7 @@ def get_rest_names(path: Path, names: Sequence[str]) -> list[str]:
     count = sum(name.startswith("f_rest_") for name in names)
     if count not in REST_COUNTS:
         raise FileError(
-            f"has {count} colour coefficients 'f_rest_' a splat; spherical harmonics of degree 0, 1, 2 or 3 have "
+            f"has {count} color coefficients 'f_rest_' a splat; spherical harmonics of degree 0, 1, 2 or 3 have "
             f"{', '.join(map(str, REST_COUNTS))}.",
             where=str(path),
             remedy="Export it with harmonics of degree 3 at most.",

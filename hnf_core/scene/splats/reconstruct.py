@@ -402,7 +402,7 @@ def _make_warnings(count: int, near: float, retained: float, open_: float, clari
         )
     if clarity.ragged > MAX_RAGGED_SHARE:
         warnings.append(
-            f"Depth jumps between {100 * clarity.ragged:.0f} % of neighbouring pixels: the splats are loose grains, "
+            f"Depth jumps between {100 * clarity.ragged:.0f} % of neighboring pixels: the splats are loose grains, "
             f"not "
             "a surface. Use fewer cells, or train the reconstruction longer."
         )

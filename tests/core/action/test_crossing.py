@@ -118,6 +118,38 @@ def test_there_and_back_is_one_seam() -> None:
     assert find_seams(both, owner[rows]) == find_seams(joined, owner)
 
 
+def place_contacts(point: np.ndarray, normal: np.ndarray, position: np.ndarray):
+    """Contacts at these points; all that a seam does not read is that of another stroke."""
+    first, *_ = cross(0.0)
+    first_rows = {name: getattr(first, name)[: len(point)] for name in type(first).__dataclass_fields__}
+    return dataclasses.replace(first, **first_rows | {"point": point, "normal": normal, "position": position})
+
+
+@settings(deadline=None)
+@given(fold=st.floats(-1.2, 1.2).filter(lambda fold: abs(fold) > 0.02), phase=st.floats(0.0, 1.0))
+def test_a_fold_between_two_objects_is_no_step(fold, phase) -> None:
+    """Wherever the samples lie on it."""
+    position = (np.arange(12) - 6.0 + phase) * 1e-3
+    sine, cosine, beyond = np.sin(fold), np.cos(fold), position > 0.0
+    along, up = np.where(beyond, position * cosine, position), np.where(beyond, position * sine, 0.0)
+    point = np.stack([along, 0.0 * position, up], axis=1)
+    normal = np.where(beyond[:, None], [-sine, 0.0, cosine], [0.0, 0.0, 1.0])
+    assert find_seams(place_contacts(point, normal, position), beyond.astype(np.int32)) == ()
+    raised = point + np.where(beyond[:, None], [0.0, 0.0, 5e-3], 0.0)  # Five samples away, no fold explains it.
+    if abs(fold) < 0.1:
+        assert len(find_seams(place_contacts(raised, normal, position), beyond.astype(np.int32))) == 1
+
+
+def test_a_narrow_object_has_two_edges() -> None:
+    """A card 0.8 mm wide and 0.5 mm high."""
+    position = np.arange(12) * 0.2e-3
+    on_card = (position > 0.9e-3) & (position < 1.7e-3)
+    point = np.stack([position, 0 * position, np.where(on_card, 0.5e-3, 0.0)], axis=1)
+    contacts = place_contacts(point, np.tile([0.0, 0.0, 1.0], (12, 1)), position)
+    up, down = find_seams(contacts, on_card.astype(np.int32))
+    assert (up.step_m, down.step_m) == pytest.approx((0.5e-3, -0.5e-3))
+
+
 def test_without_contact_there_is_no_seam() -> None:
     first, second, owner, to_here = cross(2e-4)
     joined = join_contacts([first, move_contacts(second, to_here)], owner)

@@ -88,9 +88,9 @@ def test_what_cannot_be_used_is_counted(tmp_path):
         (RECORDINGS[1], MOMENTS[2], None),
     ]
     assert set(pairs.notes[1:]) == {
-        "1 are labelled as undecided",
+        "1 are labeled as undecided",
         "1 left out: named twice",
-        "2 left out: labelled as two classes",
+        "2 left out: labeled as two classes",
         "1 left out: no video_frame",
         "1 left out: no gelsight_frame",
         "1 left out: their recording is not there",

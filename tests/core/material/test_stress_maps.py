@@ -122,7 +122,7 @@ def test_pixels(pitch):
         lambda: map_of(RELIEF, pitch=pitch, resolved=1e-3),
         lambda: height_from_slopes(RELIEF, RELIEF, np.isfinite(RELIEF), pitch),
     ):
-        with pytest.raises(UsageError, match="metres per pixel"):
+        with pytest.raises(UsageError, match="meters per pixel"):
             make()
 
 

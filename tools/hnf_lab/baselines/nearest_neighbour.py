@@ -66,7 +66,7 @@ class LevelModel:
 class NearestNeighbour:
     """Nearest-neighbour playback."""
 
-    name: str = "playback (nearest neighbour)"
+    name: str = "playback (nearest neighbor)"
     form: Form = "natural"
 
     def fit(self, specimen: MaterialRecordings, seed: int) -> FittedMaterial:

@@ -24,7 +24,7 @@ def add_parser(subjects: Any) -> None:
     parser.add_argument(
         "--models", nargs="+", type=Path, required=True, metavar="DIR", help="folders of hnf train alignment"
     )
-    parser.add_argument("--items", type=int, metavar="N", help="labelled tuples of a sensor that probes are fitted to")
+    parser.add_argument("--items", type=int, metavar="N", help="labeled tuples of a sensor that probes are fitted to")
     parser.add_argument("--threads", type=int, default=1, metavar="N", help="of torch (default 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of draws, lamps and intervals")
     parser.add_argument("--json", action="store_true", help="print one JSON object")

@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run_touch(arguments: argparse.Namespace) -> int:
     if not 1.0 <= arguments.width <= 10_000.0:
-        raise UsageError(f"--width {arguments.width:g}.", remedy="Give 1 to 10000 millimetres.")
+        raise UsageError(f"--width {arguments.width:g}.", remedy="Give 1 to 10000 millimeters.")
     from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION
     from hnf_core.units import mm_to_m
 

@@ -520,7 +520,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--picture", type=Path, help="real frames beside predicted ones")
-    parser.add_argument("--response", type=Path, help="change of colour over tilt")
+    parser.add_argument("--response", type=Path, help="change of color over tilt")
     arguments = parser.parse_args()
     try:
         print_report(arguments.folder, arguments.picture, arguments.response)

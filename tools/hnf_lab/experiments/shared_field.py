@@ -474,7 +474,7 @@ takes the one nearest in token space.
 {chr(10).join(lines)}
 
 {_format_margin("category mean", intervals["category_db"])}
-{_format_margin("nearest neighbour", intervals["nearest_db"])}"""
+{_format_margin("nearest neighbor", intervals["nearest_db"])}"""
 
 
 def _format_margin(name: str, margin: Interval) -> str:

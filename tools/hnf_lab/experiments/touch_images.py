@@ -74,15 +74,15 @@ def judge_balls(presses: BallPresses, pixel_m: float) -> list[str]:
     error_deg = calibrate(presses, "gelsight", pixel_m).error_deg
     rows = [
         f"{len(presses.frames)} presses, {contact:g} pixels of contact; normals of every other press are off by "
-        f"{error_deg:.1f}°. Found centres are {np.hypot(*offset.T).mean():.1f} pixels from the marked ones, "
+        f"{error_deg:.1f}°. Found centers are {np.hypot(*offset.T).mean():.1f} pixels from the marked ones, "
         f"{np.hypot(*offset.mean(axis=0)):.1f} of them the same for all. Median over presses (90 % are better).",
         "",
         "| | radius off by [%] | amount [%] | height off by [µm RMS] | slopes fit together [dB] |",
         "|---|---:|---:|---:|---:|",
     ]
     sources = {
-        "calibrated, centres marked by hand": presses.centre_px,
-        "calibrated, centres found": found,
+        "calibrated, centers marked by hand": presses.centre_px,
+        "calibrated, centers found": found,
         "nominal": None,
     }
     for name, centres in sources.items():

@@ -233,7 +233,7 @@ def _format_settings(setup: MapSetup, measured: Measurement) -> str:
     return (
         f"{sizes.instances} tiles of held-out instances and {sizes.classes} of held-out classes, {sizes.varied} of "
         "each with something withheld or the other sensor; "
-        f"stand-ins from {measured.training_views} training views; grey scale = "
+        f"stand-ins from {measured.training_views} training views; gray scale = "
         f"{1e6 * measured.grey_m:.1f} µm; tokens by {measured.encoder}; seed {setup.seed}. Processor time "
         f"of a patch of five views: {timed}."
     )
@@ -246,7 +246,7 @@ COMPARED_METHODS = (
     score.FUSED, score.NO_DEPTH, score.NO_COLOUR, score.DIGIT,
 )  # fmt: skip
 """Methods in the plot of excess, below the networks."""
-SHORT_NAMES = {score.NEIGHBOUR: "neighbour", score.GREY: "grey = height"}
+SHORT_NAMES = {score.NEIGHBOUR: "neighbor", score.GREY: "gray = height"}
 EXAMPLE_COUNT = 5
 SHOWN_RMS_SLOPE = 0.35
 """RMS slope to which true slopes are scaled; predictions use the same factor, so level errors stay visible."""

@@ -27,7 +27,7 @@ def small_frames(monkeypatch):
 
 def test_a_drawn_ball_has_its_own_radius(small_frames):
     presses = draw_presses("gelsight", np.random.default_rng(0), 0.5)
-    row = next(row for row in judge_balls(presses, 120e-6) if "centres marked by" in row)
+    row = next(row for row in judge_balls(presses, 120e-6) if "centers marked by" in row)
     assert abs(float(row.split("|")[2])) < 5.0
 
 
