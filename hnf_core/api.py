@@ -7,6 +7,7 @@ shape, unit or rate. Packages that a call does not need are not imported: torch 
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .action.action import Action as GridAction
-from .action.action import action_from_table, read_action_csv
+from .action.action import action_from_table, check_units, read_action_table
 from .action.primitives import Primitive
 from .errors import FileError, HnfError, UsageError
 from .field.field import Field
@@ -83,14 +84,16 @@ class Action:
     force_n : array_like, shape (n,), or float
         Normal force, not negative; 0 is no contact [N].
     probe : str
-        The contacting tip, ``"pen"`` or ``"finger"``.
+        The contacting tip: ``"pen"``, ``"finger"``, or the name or file of another one.
+    position_m : array_like, shape (n,), optional
+        Signed position along the path [m], for a hand that goes back on it; by default the integral of speed.
 
     Raises
     ------
     StrokeError
         For columns of different lengths, times that do not rise, values that are not finite, negative speed or force.
     UsageError
-        For a probe that is not known.
+        For values that are no numbers, or a probe that is not known.
 
     Examples
     --------
@@ -105,15 +108,19 @@ class Action:
     speed_m_s: ArrayLike
     force_n: ArrayLike
     probe: str = "pen"
+    position_m: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         get_probe(self.probe)
         time = to_vector(self.time_s, "time_s")
         object.__setattr__(self, "time_s", time)
         for name in ("direction_rad", "speed_m_s", "force_n"):
-            values = np.asarray(getattr(self, name), dtype=np.float64)
-            column = np.full(len(time), float(values)) if values.ndim == 0 else to_vector(values, name)
+            values = getattr(self, name)
+            is_number = np.ndim(values) == 0
+            column = np.full(len(time), to_vector([values], name)[0]) if is_number else to_vector(values, name)
             object.__setattr__(self, name, column)
+        if self.position_m is not None:
+            object.__setattr__(self, "position_m", to_vector(self.position_m, "position_m"))
         self.to_grid()  # raises StrokeError for values that make no action
 
     @property
@@ -128,7 +135,8 @@ class Action:
             np.asarray(column, dtype=np.float64)
             for column in (self.time_s, self.direction_rad, self.speed_m_s, self.force_n)
         )
-        return action_from_table(*columns, probe=self.probe)
+        position = None if self.position_m is None else np.asarray(self.position_m, dtype=np.float64)
+        return action_from_table(*columns, position=position, probe=self.probe)
 
 
 @dataclass(frozen=True)
@@ -170,8 +178,11 @@ class Recording:
     def __post_init__(self) -> None:
         from .signal import dft321
 
-        samples = np.asarray(self.acceleration, dtype=np.float64)
-        if not (samples.ndim == 1 or (samples.ndim == 2 and samples.shape[1] == 3)):
+        try:
+            samples = np.asarray(self.acceleration, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"the acceleration is not made of numbers ({error}).") from error
+        if not (samples.ndim == 1 or (samples.ndim == 2 and samples.shape[1] == 3)) or not len(samples):
             raise UsageError(
                 f"an acceleration of shape {samples.shape} is neither (n,) nor (n, 3).",
                 remedy="Give one axis, or three as columns.",
@@ -309,9 +320,14 @@ def read_action(path: PathText, probe: str = "pen") -> Action:
     Parameters
     ----------
     path : str or path
-        The table; any order of columns, any rising time grid.
+        The table; any order of columns, any rising time grid, whose rows are kept. A column position_m is read too.
     probe : str
-        The contacting tip, ``"pen"`` or ``"finger"``.
+        The contacting tip: ``"pen"``, ``"finger"``, or the name or file of another one.
+
+    Warns
+    -----
+    UserWarning
+        For values that seem to have another unit, which are read as they are.
 
     Returns
     -------
@@ -329,8 +345,13 @@ def read_action(path: PathText, probe: str = "pen") -> Action:
     >>> import hnf_core as hnf
     >>> hnf.read_action("stroke.csv")  # doctest: +SKIP
     """
-    grid = read_action_csv(Path(fspath(path)), probe)
-    return Action(grid.time, np.arctan2(grid.direction[:, 1], grid.direction[:, 0]), grid.speed, grid.force, probe)
+    source = Path(fspath(path))
+    messages: list[str] = []
+    table = read_action_table(source, messages.append)
+    messages += [f"{source.name}: {message}" for message in check_units(table.time, table.direction)]
+    for message in messages:
+        warnings.warn(message, stacklevel=2)
+    return Action(table.time, table.direction, table.speed, table.force, probe, table.position)
 
 
 def synthesise(
@@ -350,7 +371,8 @@ def synthesise(
     action : Action, Primitive or str
         The action, a stroke from `parse_stroke`, or its words.
     seed : int
-        Seed of the noise carriers that the network modulates: the same seed gives the same samples.
+        Seed of the noise carriers that the network modulates and of the path that a stroke in words takes: the same
+        seed gives the same samples.
     probe : str, optional
         The contacting tip; by default that of the action, which is the pen for a primitive.
     rate_hz : float
@@ -384,6 +406,7 @@ def synthesise(
         material = Material(trained.name, trained.token, trained.mechanics, material)
     if not isinstance(material, Material):
         raise UsageError(f"{type(material).__name__} is no material.", remedy="Give hnf.material(NAME) or a field.")
+    _check_seed(seed)
     grid, stroke_name = _to_grid(action, seed)
     if probe is not None:
         get_probe(probe)
@@ -544,6 +567,8 @@ def train(recordings: Recording | Iterable[Recording], *, seed: int = 0, epochs:
     >>> field = hnf.train(recordings, seed=0)  # doctest: +SKIP
     """
     strokes = (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
+    if not all(isinstance(recording, Recording) for recording in strokes):
+        raise UsageError("training needs recordings.", remedy="Give hnf.Recording(…), or a list of them.")
     if not strokes or sum(recording.duration_s for recording in strokes) < MIN_TRAINING_S:
         raise UsageError(f"less than {MIN_TRAINING_S:g} s of recordings.", remedy="Give more, or longer ones.")
     if len({recording.material for recording in strokes}) > 1:
@@ -720,12 +745,12 @@ def touch(
     Returns
     -------
     dict
-        The report, as in ``report.json``.
+        The report, as in ``report.json``; ``failed`` names strokes that could not be touched.
 
     Raises
     ------
     HnfError
-        If bpy is missing, or the scene cannot be touched.
+        If bpy is missing, or the scene cannot be touched at all.
 
     Examples
     --------
@@ -746,7 +771,8 @@ def touch(
     # This package may not import the add-on, which depends on it: the command is looked up by name, as by a shell.
     program = import_module("hnf_blender" + ".cli")
     report = Path(fspath(out)) / "report.json"
-    if program.main(arguments) != 0:
+    before = _identify_file(report)
+    if program.main(arguments) != 0 and _identify_file(report) == before:
         raise HnfError("the scene could not be touched; the lines above say why.", where=str(fspath(scene)))
     try:
         content: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
@@ -755,7 +781,21 @@ def touch(
     return content
 
 
+def _identify_file(path: Path) -> tuple[int, int] | None:
+    """Return what is different for every version of a file that is written atomically; None without one."""
+    return (path.stat().st_ino, path.stat().st_mtime_ns) if path.is_file() else None
+
+
+def _check_seed(seed: int) -> None:
+    from .cli.commands import SEED_LIMIT
+
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < SEED_LIMIT:
+        raise UsageError(f"seed {seed!r:.40}: not a whole number from 0 to 2^63 − 1.", remedy="Give e.g. 0.")
+
+
 def _get_library_material(name: str) -> Material:
+    if not isinstance(name, str):
+        raise UsageError(f"{type(name).__name__} is no name of a material.", remedy="See hnf.list_materials().")
     from .material.library import get_material
 
     entry = get_material(name)

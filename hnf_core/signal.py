@@ -75,8 +75,8 @@ def to_vector(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def check_rate(rate_hz: float) -> None:
-    """Raise UsageError if a sample rate [Hz] is not finite or below 100 Hz."""
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+    """Raise UsageError if a sample rate [Hz] is no number, not finite or below 100 Hz."""
+    if not (isinstance(rate_hz, (int, float, np.number)) and np.isfinite(rate_hz) and rate_hz > 0.0):
         raise UsageError(f"{rate_hz} Hz is no sample rate.", remedy="Give it in Hz, for example 10000.")
     if rate_hz < 100.0:
         raise UsageError(

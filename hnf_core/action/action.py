@@ -277,6 +277,37 @@ def read_action_csv(
     StrokeError
         If its values make no action.
     """
+    table = read_action_table(path, warn)
+    action = action_from_table(
+        table.time, table.direction, table.speed, table.force, position=table.position, probe=probe, rate=rate,
+        where=str(path), lines=table.lines,
+    )  # fmt: skip
+    for message in check_units(table.time, table.direction):
+        warn(f"{path.name}: {message}")
+    return action
+
+
+@dataclass(frozen=True)
+class ActionTable:
+    """Columns (n,) of a table of an action, on its own time grid.
+
+    time, direction, speed, force: [s, rad, m/s, N]. position: signed arc length [m]; None if the table has none. lines:
+    line numbers of the rows in the file, for messages; may be empty.
+    """
+
+    time: Float
+    direction: Float
+    speed: Float
+    force: Float
+    position: Float | None
+    lines: Sequence[int]
+
+
+def read_action_table(path: Path, warn: Callable[[str], None]) -> ActionTable:
+    """Read the columns of a table as `read_action_csv` does, but keep its own rows.
+
+    warn: called with a message for values that seem to have another unit. Raises FileError.
+    """
     lines: Sequence[int] = ()
     try:
         with path.open("rb") as file:
@@ -299,12 +330,9 @@ def read_action_csv(
     if is_noise.any():
         warn(f"{path.name}: {int(is_noise.sum())} forces below 0 are taken for the sensor's noise, and for 0.")
         force[is_noise] = 0.0
-    columns = [table[:, header.index(name)] for name in CSV_COLUMNS]
+    time, direction, speed, force = (table[:, header.index(name)] for name in CSV_COLUMNS)
     position = table[:, header.index(POSITION_COLUMN)] if POSITION_COLUMN in header else None
-    action = action_from_table(*columns, position=position, probe=probe, rate=rate, where=str(path), lines=lines)
-    for message in check_units(*columns[:2]):
-        warn(f"{path.name}: {message}")
-    return action
+    return ActionTable(time, direction, speed, force, position, lines)
 
 
 def check_units(time: Float, direction: Float) -> tuple[str, ...]:
@@ -324,7 +352,7 @@ def action_from_table(
 ) -> Action:  # fmt: skip
     """Make an action from columns (n,) on any rising time grid.
 
-    Direction is interpolated as a vector (179° and −179° are neighbours); where that vanishes, the nearest row counts.
+    Direction is interpolated as a vector (179° and −179° are neighbors); where that vanishes, the next row counts.
     Position is the integral of speed over the table's own grid. There is contact where the force is positive. A table
     finer than the action is low-passed first (`resample_band_limited`), and its own force goes along as the action's
     `force_curve`; there is contact where it presses within half a step of the grid.
@@ -411,7 +439,10 @@ def action_from_table(
 
 
 def write_action_csv(path: Path, action: Action) -> None:
-    """Write an action as a table that `read_action_csv` reads back to the last digits, at its own rate."""
+    """Write an action as a table that `read_action_csv` reads back to the last digits, at its own rate.
+
+    The force is that of its states: a `force_curve` that is finer than they are is not written.
+    """
     angle = np.arctan2(action.direction[:, 1], action.direction[:, 0])
     force = np.where(action.contact, action.force, 0.0)
     rows = zip(*(column.tolist() for column in (action.time, angle, action.speed, force, action.position)), strict=True)

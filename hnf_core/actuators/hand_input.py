@@ -22,6 +22,7 @@ from time import perf_counter
 from typing import Any
 
 from ..errors import DeviceError, UsageError
+from ..field.stroke import LIMITS
 from .live_source import LiveSource
 from .runtime import import_optional
 
@@ -160,17 +161,19 @@ class HandInput:
         self._place, self._time = (0.0, 0.0), 0.0
         self.messages = self.refused = 0
 
-    def take(self, message: HandMessage) -> None:
-        """Take a message that arrives now."""
+    def take(self, message: HandMessage) -> bool:
+        """Take a message that arrives now; return False if no hand is there, or no such material."""
         with self._lock:
-            self.messages += 1
             self._advance()
-            if isinstance(message, Touch):
-                self._slide, self._place = None, (message.x_m, message.y_m)
-                self._source.move(self._clock(), self._place, message.force_n, message.material)
-                return
-            self._slide = message if message.force_n > 0.0 else None
-            self._source.move(self._clock(), self._place, message.force_n, message.material)
+            is_slide = isinstance(message, Slide)
+            place = self._place if isinstance(message, Slide) else (message.x_m, message.y_m)
+            is_fast = isinstance(message, Slide) and abs(message.speed_m_s) > LIMITS["speed [m/s]"][1]
+            if is_fast or not self._source.move(self._clock(), place, message.force_n, message.material):
+                return False
+            self.messages += 1
+            self._place = place
+            self._slide = message if is_slide and message.force_n > 0.0 else None
+            return True
 
     def advance(self) -> None:
         """Continue a slide to the present; call it every SLIDE_STEP_S."""
@@ -178,8 +181,11 @@ class HandInput:
             self._advance()
 
     def lift(self) -> None:
-        """Lift the hand, since nothing more comes."""
-        self.take(Slide(0.0, 0.0))
+        """Lift the hand, since nothing more comes; that is no message."""
+        with self._lock:
+            self._advance()
+            self._slide = None
+            self._source.move(self._clock(), self._place, 0.0)
 
     def take_line(self, line: str) -> None:
         """Take a line of text; one that says nothing of a hand is counted, the first is told."""
@@ -193,22 +199,22 @@ class HandInput:
         now, slide = self._clock(), self._slide
         if slide is not None:
             way = slide.speed_m_s * (now - self._time)
-            self._place = (
-                self._place[0] + way * math.cos(slide.angle_rad), self._place[1] + way * math.sin(slide.angle_rad)
-            )  # fmt: skip
-            self._source.move(now, self._place, slide.force_n, slide.material)
+            place = (self._place[0] + way * math.cos(slide.angle_rad), self._place[1] + way * math.sin(slide.angle_rad))
+            if self._source.move(now, place, slide.force_n, slide.material):
+                self._place = place
+            else:  # It has slid beyond all surfaces, and stands at their end.
+                self._slide = None
         self._time = now
 
     def _take_parsed(self, parse: Callable[[], HandMessage | None], text: str) -> None:
         try:
             message = parse()
+            if message is not None and not self.take(message):
+                raise ValueError("place, speed or force is none of a hand, or there is no such material")
         except ValueError as error:
             self.refused += 1
             if self.refused == 1:
                 self._on_problem(f"{text[:80]!r} was left out: {error}. Later ones are counted.")
-            return
-        if message is not None:
-            self.take(message)
 
 
 @contextmanager

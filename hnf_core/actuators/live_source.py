@@ -92,8 +92,8 @@ class LiveSource:
         """Warnings of the synthesis, in words."""
         return self._synthesis.warnings
 
-    def move(self, time_s: float, position_m: tuple[float, float], force_n: float, material: int = 0) -> None:
-        """Report the hand's position and force.
+    def move(self, time_s: float, position_m: tuple[float, float], force_n: float, material: int = 0) -> bool:
+        """Report the hand's position and force; return False if the event is rejected.
 
         An event that is not finite, lies outside `LIMITS` or names no material is rejected and counted; the hand stays
         as it was.
@@ -117,8 +117,9 @@ class LiveSource:
             and 0 <= material < self._synthesis.materials
         ):
             self.rejected_events += 1
-            return
+            return False
         self._queue_event(HandEvent(time_s, x, y, force_n, material))
+        return True
 
     def lift(self, time_s: float | None = None) -> None:
         """Lift the hand at `time_s`, or at its last known time if None."""

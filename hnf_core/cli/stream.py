@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import shutil
 import signal
 import sys
@@ -321,8 +322,19 @@ def _feed(
     """Feed a hand from OSC or from standard input, of which bytes that are no text only spoil their line."""
     if received is not None:
         return receive_osc(hand, *received)
-    lines = (line.decode("utf-8", "replace") for line in sys.stdin.buffer)
-    return read_lines(hand, lines, ended.set)
+    return read_lines(hand, _iterate_input(), ended.set)
+
+
+def _iterate_input() -> Iterator[str]:
+    """Yield the lines of standard input as they come.
+
+    They are read past `sys.stdin`, whose lock a thread that still waits would hold when Python ends, which aborts it.
+    """
+    rest = b""
+    while chunk := os.read(sys.stdin.fileno(), 65536):
+        *lines, rest = (rest + chunk).split(b"\n")
+        yield from (line.decode("utf-8", "replace") for line in lines)
+    yield rest.decode("utf-8", "replace")
 
 
 def _choose_material(name: str) -> str:
@@ -360,15 +372,14 @@ def _follow_hand(
 
 
 def _report_live(arguments: argparse.Namespace, report: StreamReport, source: LiveSource, hand: HandInput) -> int:
-    refused = hand.refused + source.rejected_events
     if arguments.json:
         facts = {"input": arguments.input, "materials": arguments.material, "target": arguments.to}
-        counts = {"messages": hand.messages, "refused": refused, "latency_p99_ms": source.latency_p99_ms}
+        counts = {"messages": hand.messages, "refused": hand.refused, "latency_p99_ms": source.latency_p99_ms}
         print(json.dumps(facts | counts | report.to_json(), indent=1))
     else:
         print(
-            f"{report.played_s:.2f} s played: {pluralize(hand.messages, 'message')}, {refused} refused; 99 % of them "
-            f"computed within {source.latency_p99_ms:.1f} ms, {pluralize(report.underruns, 'underrun')}; peak "
+            f"{report.played_s:.2f} s played: {pluralize(hand.messages, 'message')}, {hand.refused} refused; 99 % of "
+            f"them computed within {source.latency_p99_ms:.1f} ms, {pluralize(report.underruns, 'underrun')}; peak "
             f"{report.peak:.0%} of full scale, {pluralize(report.limited_samples, 'sample')} limited"
         )
     if report.problem:

@@ -106,6 +106,14 @@ def test_a_notebook_runs(path: Path, tmp_path: Path) -> None:
         (lambda path: hnf.synthesise(3, "rub-slow"), "no material"),
         (lambda path: hnf.synthesise("cork", 3), "no action"),
         (lambda path: hnf.synthesise("cork", "rub-slow", probe="nose"), "no probe"),
+        (lambda path: hnf.synthesise("cork", "rub-slow", seed=-1), "seed -1"),
+        (lambda path: hnf.synthesise("cork", "rub-slow", seed=1.5), "seed 1.5"),
+        (lambda path: hnf.synthesise("cork", "rub-slow", rate_hz="10"), "no sample rate"),
+        (lambda path: hnf.material(3), "no name"),
+        (lambda path: hnf.Action([0.0, 1.0], 0.0, 0.1, "hard"), "not made of numbers"),
+        (lambda path: hnf.Recording("abc", 10_000, hnf.Action([0.0, 1.0], 0.0, 0.1, 1.0)), "not made of numbers"),
+        (lambda path: hnf.Recording(np.zeros((0, 3)), 10_000, hnf.Action([0.0, 1.0], 0.0, 0.1, 1.0)), "neither"),
+        (lambda path: hnf.train([None]), "recordings"),
         (lambda path: hnf.Action([0.0, 1.0], 0.0, [0.1, 0.1, 0.1], 1.0), "shapes"),
         (lambda path: hnf.Action([0.0, 1.0], 0.0, -0.1, 1.0), "negative"),
         (lambda path: hnf.Action([1.0, 0.0], 0.0, 0.1, 1.0), "does not rise"),
@@ -150,3 +158,51 @@ def test_it_is_what_the_command_line_gives(tmp_path: Path) -> None:
     assert main([*words, "--out", str(tmp_path / "cli.wav")]) == 0
     hnf.write_wav(tmp_path / "api.wav", hnf.synthesise("cork", "rub-slow", seed=3).signal)
     assert (tmp_path / "api.wav").read_bytes() == (tmp_path / "cli.wav").read_bytes()
+
+
+def test_a_table_keeps_its_short_tap_and_its_way_back(tmp_path: Path) -> None:
+    from hnf_blender.cli import main
+
+    time = np.arange(1001) / 1000.0
+    tap = np.where(np.abs(time - 0.5) < 1.6e-3, 2.0, 0.0)
+    way = 0.01 * np.sin(4.0 * np.pi * time)
+    speed, angle = np.abs(np.gradient(way, time)), np.where(np.gradient(way) < 0.0, np.pi, 0.0)
+    for name, force in (("tap", tap), ("rub", np.ones(1001))):
+        table = tmp_path / f"{name}.csv"
+        rows = zip(time, angle, speed, force, way, strict=True)
+        lines = [",".join(repr(float(value)) for value in row) for row in rows]
+        table.write_text("time_s,direction_rad,speed_m_s,force_n,position_m\n" + "\n".join(lines), encoding="utf-8")
+        words = ["synth", "--material", "cork", "--action", str(table), "--out", str(tmp_path / f"{name}.wav")]
+        assert main(words) == 0
+        ours = hnf.synthesise("cork", hnf.read_action(table)).signal
+        assert ours.samples.tolist() == hnf.read_signal(tmp_path / f"{name}.wav").samples.tolist()
+        given = hnf.synthesise("cork", hnf.Action(time, angle, speed, force, position_m=way)).signal
+        assert given.samples.tolist() == ours.samples.tolist()
+
+
+def test_a_table_in_degrees_is_warned_of(tmp_path: Path) -> None:
+    table = tmp_path / "degrees.csv"
+    table.write_text("time_s,direction_rad,speed_m_s,force_n\n0,90,0.1,1\n1,180,0.1,1\n", encoding="utf-8")
+    with pytest.warns(UserWarning, match=r"degrees\.csv: .*in degrees"):
+        hnf.read_action(table)
+
+
+@pytest.mark.parametrize(("code", "is_written"), [(1, True), (1, False)])
+def test_a_report_is_given_back_if_there_is_one(code, is_written, tmp_path: Path, monkeypatch) -> None:
+    import hnf_blender.cli
+
+    report = tmp_path / "report.json"
+    report.write_text('{"failed": []}', encoding="utf-8")
+
+    def touch(arguments: list[str]) -> int:
+        if is_written:
+            (tmp_path / "new.json").write_text('{"failed": ["A"]}', encoding="utf-8")
+            (tmp_path / "new.json").replace(report)
+        return code
+
+    monkeypatch.setattr(hnf_blender.cli, "main", touch)
+    if is_written:
+        assert hnf.touch("scene.blend", tmp_path) == {"failed": ["A"]}
+    else:
+        with pytest.raises(hnf.HnfError, match="could not be touched"):
+            hnf.touch("scene.blend", tmp_path)

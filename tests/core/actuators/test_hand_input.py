@@ -34,14 +34,17 @@ NUMBER = st.floats(-10.0, 10.0)
 
 
 class Moves:
-    """What a live touch would be told, and a clock that is set by hand."""
+    """What a live touch with ten materials would be told, within 100 m; and a clock that is set by hand."""
 
     def __init__(self) -> None:
         self.now_s, self.got, self.problems = 0.0, [], []
         self.hand = HandInput(self, self.problems.append, lambda: self.now_s)
 
-    def move(self, time_s, position_m, force_n, material=0) -> None:
-        self.got.append((time_s, position_m, force_n, material))
+    def move(self, time_s, position_m, force_n, material=0) -> bool:
+        is_taken = force_n >= 0.0 and material < 10 and max(map(abs, position_m)) <= 100.0
+        if is_taken:
+            self.got.append((time_s, position_m, force_n, material))
+        return is_taken
 
 
 @given(NUMBER, NUMBER, st.floats(0.0, 20.0), st.integers(0, 9), st.sampled_from([" ", ", ", ";", "\t"]))
@@ -72,6 +75,9 @@ def test_any_line_is_taken_or_refused(line):
     [
         ("1 2", "x, y, force"), ("1 2 nan", "'nan' is no number"), ("1 2 three", "'three' is no number"),
         ('{"x": 1, "force": 2}', "'y' is missing"), ("{1", "no JSON object"), ("1 2 3 0.5", "number of a material"),
+        ("1 2 3 10", "no such material"), ("1 2 -3", "none of a hand"), ("1e9 2 3", "none of a hand"),
+        ('{"speed": 1e308, "force": 1}', "none of a hand"),
+        ('{"speed": 1, "force": 1, "material": 10}', "no such material"),
         ('{"speed": 0.1}', "'force' is missing"), ('{"speed": true, "force": 1}', "True is no number"),
     ],
 )  # fmt: skip
@@ -101,6 +107,20 @@ def test_a_slide_goes_on_until_it_is_told_otherwise():
     moves.hand.advance()
     assert moves.got[-1][0] == 0.5
     assert moves.got[-1][2] == 0.0
+
+
+def test_a_slide_ends_where_no_surface_can_be():
+    moves = Moves()
+    moves.hand.take_osc("/hnf/slide", 50.0, 2.0)
+    for step in range(1, 1001):
+        moves.now_s = 0.005 * step
+        moves.hand.advance()
+    assert moves.hand.refused == 0
+    assert 99.0 < moves.got[-1][1][0] <= 100.0
+    moves.hand.take_osc("/hnf/slide", -1.0, 2.0)
+    moves.now_s += 1.0
+    moves.hand.advance()
+    assert moves.got[-1][1][0] < 99.5
 
 
 def test_osc_comes_through_a_real_socket():
@@ -168,8 +188,17 @@ def test_lines_of_another_program_are_felt():
     process.stdin.close()
     report, told = process.stdout.read(), process.stderr.read()
     assert process.wait(timeout=60) == 0
-    assert "61 messages, 1 refused" in report
+    assert "60 messages, 1 refused" in report
     found = re.search(r"peak (\d+)% of full scale", report)
     assert found is not None
     assert int(found[1]) > 0
     assert "'nothing' was left out" in told
+
+
+def test_it_ends_while_standard_input_stays_open():
+    words = ["stream", "--input", "-", "--material", "denim", "--to", "virtual", "--seconds", "0.3"]
+    with subprocess.Popen(
+        [*HNF, *words], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        assert (process.wait(timeout=60), process.stderr.read()) == (0, "")
