@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .action.action import Action as GridAction
-from .action.action import action_from_table, check_units, read_action_table
+from .action.action import action_from_table, check_plausibility, read_action_table
 from .action.primitives import Primitive
 from .errors import FileError, HnfError, UsageError
 from .field.field import Field
@@ -95,6 +95,11 @@ class Action:
     UsageError
         For values that are no numbers, or a probe that is not known.
 
+    Warns
+    -----
+    UserWarning
+        For values that seem to have another unit or contradict each other; they are taken as they are.
+
     Examples
     --------
     >>> import hnf_core as hnf
@@ -122,6 +127,10 @@ class Action:
         if self.position_m is not None:
             object.__setattr__(self, "position_m", to_vector(self.position_m, "position_m"))
         self.to_grid()  # raises StrokeError for values that make no action
+        time, direction, speed = (np.asarray(each) for each in (self.time_s, self.direction_rad, self.speed_m_s))
+        position = None if self.position_m is None else np.asarray(self.position_m)
+        for message in check_plausibility(time, direction, speed, position):
+            warnings.warn(message, stacklevel=4)  # of the caller, behind __init__
 
     @property
     def duration_s(self) -> float:
@@ -146,7 +155,7 @@ class Recording:
     Parameters
     ----------
     acceleration : array_like, shape (n,) or (n, 3)
-        Acceleration [m/s²]. Three axes are fused into one by DFT321.
+        Acceleration [m/s²]. Its mean, such as gravity, is taken out, and three axes are fused into one by DFT321.
     rate_hz : float
         Sample rate of the acceleration [Hz].
     action : Action
@@ -190,9 +199,8 @@ class Recording:
         if not np.isfinite(samples).all():
             raise UsageError("the acceleration holds values that are not finite.", remedy="Cut the recording there.")
         check_rate(self.rate_hz)
-        object.__setattr__(
-            self, "acceleration", dft321(samples - samples.mean(axis=0)) if samples.ndim == 2 else samples
-        )
+        vibration = samples - samples.mean(axis=0)
+        object.__setattr__(self, "acceleration", dft321(vibration) if samples.ndim == 2 else vibration)
         self._to_dataset_recording()  # raises FileError for samples and an action of different lengths
 
     @property
@@ -327,7 +335,7 @@ def read_action(path: PathText, probe: str = "pen") -> Action:
     Warns
     -----
     UserWarning
-        For values that seem to have another unit, which are read as they are.
+        As `Action`, and for forces below 0 that are taken for a sensor's noise.
 
     Returns
     -------
@@ -348,7 +356,6 @@ def read_action(path: PathText, probe: str = "pen") -> Action:
     source = Path(fspath(path))
     messages: list[str] = []
     table = read_action_table(source, messages.append)
-    messages += [f"{source.name}: {message}" for message in check_units(table.time, table.direction)]
     for message in messages:
         warnings.warn(message, stacklevel=2)
     return Action(table.time, table.direction, table.speed, table.force, probe, table.position)

@@ -245,6 +245,10 @@ MAX_ACTION_S = 86_400.0
 """Longest accepted action [s]; a longer one has another unit, as ten seconds in microseconds would be four months."""
 MAX_TURNS, MAX_STEP_S = 2.0, 1.5
 """Limits of direction [turns] and of the median time step [s] beyond which a table's units are doubted."""
+MAX_HAND_SPEED_M_S = 5.0
+"""Speed beyond which a table's unit is doubted [m/s]; fast strokes reach 1, and what flies no longer touches."""
+WAY_DIFFERENCE, LEAST_WAY_M = 0.05, 1e-3
+"""Relative and absolute [m] difference of the ways by speed and by position from which a table contradicts itself."""
 _CSV_REMEDY = f"Give the header {','.join(CSV_COLUMNS)} and one row of four numbers per time."
 
 
@@ -282,7 +286,7 @@ def read_action_csv(
         table.time, table.direction, table.speed, table.force, position=table.position, probe=probe, rate=rate,
         where=str(path), lines=table.lines,
     )  # fmt: skip
-    for message in check_units(table.time, table.direction):
+    for message in check_plausibility(table.time, table.direction, table.speed, table.position):
         warn(f"{path.name}: {message}")
     return action
 
@@ -335,14 +339,25 @@ def read_action_table(path: Path, warn: Callable[[str], None]) -> ActionTable:
     return ActionTable(time, direction, speed, force, position, lines)
 
 
-def check_units(time: Float, direction: Float) -> tuple[str, ...]:
-    """Return messages about times and directions (n,) that are hardly in seconds and radians."""
+def check_plausibility(time: Float, direction: Float, speed: Float, position: Float | None = None) -> tuple[str, ...]:
+    """Return messages about columns (n,) [s, rad, m/s, m] that are hardly in these units, or contradict each other."""
     messages = []
     widest, step = float(np.max(np.abs(direction))), float(np.median(np.diff(time)))
     if widest > MAX_TURNS * 2.0 * np.pi:
         messages.append(f"direction_rad reaches {widest:.4g}, more than {MAX_TURNS:g} turns: is it in degrees?")
     if len(time) > 2 and step > MAX_STEP_S:
         messages.append(f"time_s steps by {step:.4g} s from row to row: is it in milliseconds?")
+    fastest = float(np.max(np.abs(speed)))
+    if fastest > MAX_HAND_SPEED_M_S:
+        messages.append(f"speed_m_s reaches {fastest:.4g}, and no hand is so fast: is it in mm/s?")
+    if position is not None and len(time) > 1:
+        way = float(np.sum(0.5 * np.abs(speed[1:] + speed[:-1]) * np.diff(time)))
+        moved = float(np.abs(np.diff(position)).sum())
+        if abs(way - moved) > WAY_DIFFERENCE * max(way, moved) + LEAST_WAY_M:
+            messages.append(
+                f"position_m moves by {moved:.4g} m, and speed_m_s comes to {way:.4g} m. Relief and tones follow "
+                "position_m: leave it out if the speed was changed."
+            )
     return tuple(messages)
 
 

@@ -165,14 +165,14 @@ class HandInput:
         """Take a message that arrives now; return False if no hand is there, or no such material."""
         with self._lock:
             self._advance()
-            is_slide = isinstance(message, Slide)
-            place = self._place if isinstance(message, Slide) else (message.x_m, message.y_m)
-            is_fast = isinstance(message, Slide) and abs(message.speed_m_s) > LIMITS["speed [m/s]"][1]
+            slide = message if isinstance(message, Slide) else None
+            place = (message.x_m, message.y_m) if isinstance(message, Touch) else self._place
+            is_fast = slide is not None and abs(slide.speed_m_s) > LIMITS["speed [m/s]"][1]
             if is_fast or not self._source.move(self._clock(), place, message.force_n, message.material):
                 return False
             self.messages += 1
             self._place = place
-            self._slide = message if is_slide and message.force_n > 0.0 else None
+            self._slide = slide if message.force_n > 0.0 else None
             return True
 
     def advance(self) -> None:

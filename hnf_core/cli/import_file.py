@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     notes = tuple(f"{name}: {signal.provenance[name]}" for name in REPORTED_PROVENANCE if name in signal.provenance)
     if (export_loss := read_sidecar_loss(arguments.file)) is not None:
         notes += describe_sidecar_loss(export_loss, get_sidecar_path(arguments.file).name)
-    loss = measure_loss(signal, read_wav_scaled(arguments.out, options), notes)
+    loss = measure_loss(signal, read_wav_scaled(arguments.out, replace(options, channel=None)), notes)
     # A rendered signal always equals itself, so exactness means nothing for a file without samples.
     loss = replace(loss, exact=loss.exact and sampled)
     record = {

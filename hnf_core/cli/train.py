@@ -224,6 +224,7 @@ def _add_field(subjects: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run `hnf train field`; return the exit code. Raises HnfError."""
     check_seed_and_weights(arguments)
+    from ..datasets.recording import find_doubts
     from ..datasets.registry import get_training_recordings
 
     kind, data = _open_data(arguments.data)
@@ -233,7 +234,13 @@ def run(arguments: argparse.Namespace) -> int:
         seconds = PUBLISHED_SECONDS if published else DEFAULT_SECONDS
     process = None if arguments.source == "recordings" else data.process(arguments.material)
     for is_wrong, what, remedy in (
-        (arguments.epochs is not None and arguments.epochs < 1, "--epochs must be at least 1.", ""),
+        *((value is not None and value < 1, f"{option} must be at least 1.", "") for option, value in (
+            ("--epochs", arguments.epochs), ("--hidden", arguments.hidden), ("--layers", arguments.layers),
+            ("--states", arguments.states))),
+        (arguments.source == "model" and process is None, f"there is no model of {arguments.material!r} here.",
+         "Leave --source out to train on its recordings."),
+        (arguments.seconds is not None and process is None, "--seconds is for strokes on a model: recordings are used "
+         "whole.", "Leave it out, or give fewer recordings."),
         (published and arguments.accumulation == "past", "the published form has heads of one state, no past states.",
          "Leave --accumulation out."),
         (arguments.actions == "raw" and not published, "--actions raw is for --form published alone.",
@@ -244,6 +251,9 @@ def run(arguments: argparse.Namespace) -> int:
         if is_wrong:
             raise UsageError(what, remedy=remedy)
     recordings = get_training_recordings(data, arguments.material, seconds, arguments.seed, arguments.source)
+    if process is None:
+        for doubt in find_doubts(recordings):
+            print(f"hnf: note: {doubt}", file=sys.stderr)
     trained, record = _train_field(arguments, kind, process, recordings)
     from ..export.plots.figure import write_training_curve
 

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..action.action import Action
+from ..action.action import MAX_HAND_SPEED_M_S, Action
 from ..errors import FileError, MaterialError
 
 
@@ -39,6 +39,8 @@ class Recording:
         Quantities of "direction", "speed", "force" that were recorded; others are assumed.
     notes : tuple of str
         Assumptions of the reader.
+    measured_rate : float or None
+        Rate of the sensor, if the samples were brought from it to a higher one [Hz]: nothing is known above half of it.
     measure_raw_action : callable or None
         Returns the action as its sensors recorded it, at the rate of the samples and with the vibration in it; None
         where no sensor did.
@@ -57,6 +59,7 @@ class Recording:
     known: frozenset[str] = frozenset({"direction", "speed", "force"})
     notes: tuple[str, ...] = ()
     measure_raw_action: Callable[[], Action] | None = None
+    measured_rate: float | None = None
 
     def __post_init__(self) -> None:
         duration = len(self.samples) / self.sample_rate if self.sample_rate > 0.0 else 0.0
@@ -73,6 +76,24 @@ class Recording:
     def duration_s(self) -> float:
         """Duration of the samples [s]."""
         return len(self.samples) / self.sample_rate
+
+
+LOUDEST_RMS_M_S2 = 300.0
+"""RMS from which an acceleration's unit is doubted [m/s²]; the loudest recorded textures have some 30."""
+
+
+def find_doubts(recordings: Iterable[Recording]) -> list[str]:
+    """Return what readers assumed of recordings, and what is hardly in the unit it is taken for; one text for each."""
+    doubts: dict[str, None] = {}
+    for recording in recordings:
+        doubts |= dict.fromkeys(recording.notes)
+        rms = float(np.sqrt(np.mean(np.square(recording.samples))))
+        fastest = float(np.max(recording.action.speed, initial=0.0))
+        if rms > LOUDEST_RMS_M_S2:
+            doubts[f"{recording.source}: {rms:.0f} m/s² RMS: is its acceleration in m/s²?"] = None
+        if "speed" in recording.known and fastest > MAX_HAND_SPEED_M_S:
+            doubts[f"{recording.source}: its speed reaches {fastest:.4g} m/s: is it, or its x and y, in mm?"] = None
+    return list(doubts)
 
 
 class TextureProcess(Protocol):

@@ -40,6 +40,8 @@ REST_SPEED_M_S = 1e-3
 MIN_DURATION_S = 0.1
 """Shortest recording [s]."""
 MIN_SAMPLING_HZ = 2000.0
+LIMITED_SHARE = 0.99
+"""Fraction of the signal's rate below which a sensor's rate limits what is known of the touch."""
 """Least sampling rate of an accelerometer [Hz]; a slower one does not cover the band of touch."""
 LONG_GAP_S = 5e-3
 """Gap between samples of an acceleration that cuts a recording in two [s]."""
@@ -72,13 +74,14 @@ def measure_sampling_rate(time: Float, where: str) -> float:
     step = np.diff(time)
     within = step[step <= LONG_GAP_S]
     rate = len(within) / float(within.sum()) if len(within) else 1.0 / float(np.median(step))
+    rate = float(round(rate)) if abs(rate - round(rate)) < RATE_ROUNDING * rate else rate
     if rate < MIN_SAMPLING_HZ:
         raise FileError(
             f"sampled {rate:.0f} times a second only.",
             where=where,
-            remedy=f"Its time column should be in seconds; {MIN_SAMPLING_HZ:g} Hz are the least.",
+            remedy=f"{MIN_SAMPLING_HZ:g} Hz are the least. If it was sampled faster: is its time column in seconds?",
         )
-    return float(round(rate)) if abs(rate - round(rate)) < RATE_ROUNDING * rate else rate
+    return rate
 
 
 @dataclass(frozen=True)
@@ -305,6 +308,7 @@ def assemble_recording(signals: Sequence[MeasuredSignal], material: str, where: 
     return Recording(
         action, samples, SIGNAL_RATE_HZ, material, where, known, tuple(dict.fromkeys(notes)),
         partial(_resample_raw_action, by_name, len(samples) + 1) if known else None,
+        acceleration.rate if acceleration.rate < LIMITED_SHARE * SIGNAL_RATE_HZ else None,
     )  # fmt: skip
 
 
@@ -326,11 +330,8 @@ def _resample_acceleration(acceleration: MeasuredSignal, count: int, where: str)
     if values.shape[1] not in (1, 3):
         raise FileError(f"acceleration has {values.shape[1]} axes.", where=where, remedy="One or three are expected.")
     fused = dft321(values) if values.shape[1] == 3 else values[:, 0]
-    if acceleration.rate > SIGNAL_RATE_HZ:  # low-passes, so that nothing aliases into the touch band
-        fused = resample(fused, acceleration.rate, SIGNAL_RATE_HZ)[0]
-    elif acceleration.rate < SIGNAL_RATE_HZ:
-        fused = interpolate_series(acceleration.time, fused, np.arange(count) / SIGNAL_RATE_HZ)
-    return fused[:count].copy()
+    # Band-limited both ways: nothing aliases into the touch band, and nothing is mirrored above a slow sensor's.
+    return resample(fused, acceleration.rate, SIGNAL_RATE_HZ)[0][:count].copy()
 
 
 def _resample_force(

@@ -52,6 +52,7 @@ CATEGORY_EXCESS = 1.0
 """Excess of differences without a distance: another probe, or a property known here but never in training, or vice
 versa."""
 MIN_MOVING_SPEED_M_S = 1e-4
+"""Speed from which a hand that also moves faster counts as moving [m/s]."""
 CEILING_SHARE = 0.5
 """Fraction of the output ceiling from which there is a warning."""
 UNTRAINED_CONFIDENCE = 0.2
@@ -88,6 +89,8 @@ def check_ranges(field: Field, stroke: StrokeInput, action: Action) -> tuple[flo
     if not touching.any():
         return 1.0, ("The stroke never touches anything: the signal is silent.",)
     moving = touching & (action.speed > MIN_MOVING_SPEED_M_S)
+    if not moving.any():  # All of it is as slow as a hand that comes to rest is for a moment: that is its speed.
+        moving = touching & (action.speed > 0.0)
     tapping, tap_remarks = _check_taps(stroke, action)
     # Where the hand stands, the field is silent, and a tap is the whole contact's, which has no training range.
     touching &= moving | ~tapping

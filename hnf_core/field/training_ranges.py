@@ -118,7 +118,12 @@ def compute_training_ranges(
     speed = np.concatenate([np.zeros(0), *(a.speed[rows] for a, rows in zip(actions, counted_states, strict=True))])
     force = np.concatenate([np.zeros(0), *(a.force[rows] for a, rows in zip(actions, counted_states, strict=True))])
     if len(speed) == 0:
-        raise _unusable_error("no training stroke ever moves in contact.")
+        moves, presses = (any((values > 0.0).any() for values in each) for each in (
+            [a.speed for a in actions], [a.force for a in actions]))  # fmt: skip
+        fault = "moves in contact" if moves and presses else "presses (force)" if moves else "moves (speed, or x and y)"
+        raise StrokeError(
+            f"no recorded stroke ever {fault}.", where="training", remedy="Check that column and its unit."
+        )
     pairs = np.log2(np.stack([speed, force], axis=1))
     cell = np.unique(np.floor(CELLS_PER_OCTAVE * pairs), axis=0, return_inverse=True)[1].ravel()
     is_counted = (np.bincount(cell) >= OUTLIER_SHARE * len(pairs))[cell]

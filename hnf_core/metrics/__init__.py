@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import UsageError
-from ..signal import Signal
+from ..signal import Signal, check_rate, to_signal, to_vector
 
 if TYPE_CHECKING:
     Float = NDArray[np.float64]
@@ -148,6 +148,8 @@ def average_spectrum_distance(
     _, expected = welch(reference, rate_hz)
     if len(density) != len(expected):
         raise UsageError("the signals have two rates.", remedy="Resample one of them first.")
+    if not expected.any():
+        raise UsageError("the reference is silent.", remedy="Give a reference with a spectrum to compare with.")
     return average_spectrum_distance_db(density, expected, frequency)
 
 
@@ -166,13 +168,14 @@ def spqi(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: flo
     """
     from .similarity import spqi as compute
 
-    return compute(*_get_pair(signal, reference, rate_hz))
+    return compute(*_get_blocks(signal, reference, rate_hz))
 
 
 def st_sim(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None = None) -> float:
-    """Compute the spectral–temporal similarity (ST-SIM) of a signal to a reference, at most 1.
+    """Compute the spectral–temporal similarity (ST-SIM) of a signal to a reference.
 
-    1 means equal to the reference. `signal` and `reference` are Signals, or arrays (n,) with `rate_hz` [Hz]; errors are
+    1 means equal to the reference. It is a ratio of projections, no distance: the reference at twice its level scores
+    1.05. `signal` and `reference` are Signals, or arrays (n,) with `rate_hz` [Hz]; errors are
     as in `log_spectral_distance`.
 
     Examples
@@ -184,19 +187,22 @@ def st_sim(signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: f
     """
     from .similarity import st_sim_tum
 
-    return st_sim_tum(*_get_pair(signal, reference, rate_hz))
+    return st_sim_tum(*_get_blocks(signal, reference, rate_hz))
 
 
 def _get_samples(signal: Signal | ArrayLike, rate_hz: float | None) -> tuple[Float, float]:
     """Return samples (n,) and their rate [Hz]."""
     if isinstance(signal, Signal):
-        return signal.samples.astype(np.float64), signal.sample_rate
-    samples = np.asarray(signal, dtype=np.float64)
-    if samples.ndim != 1:
-        raise UsageError(f"a signal of shape {samples.shape} is not (n,).", remedy="Give one axis, or fuse three.")
-    if rate_hz is None or not rate_hz > 0.0:
-        raise UsageError("samples without a rate are no signal.", remedy="Give rate_hz, for example 10000.")
-    return samples, float(rate_hz)
+        rate = to_signal(signal, rate_hz).sample_rate
+        samples = signal.samples.astype(np.float64)
+    else:
+        if rate_hz is None:
+            raise UsageError("samples without a rate are no signal.", remedy="Give rate_hz, for example 10000.")
+        check_rate(rate_hz)
+        samples, rate = to_vector(signal, "the signal"), float(rate_hz)
+    if not np.isfinite(samples).all():
+        raise UsageError("the signal holds values that are not finite.", remedy="Cut it there.")
+    return samples, rate
 
 
 def _get_pair(
@@ -210,6 +216,19 @@ def _get_pair(
         )
     count = min(len(first), len(second))
     return first[:count], second[:count], rate
+
+
+def _get_blocks(
+    signal: Signal | ArrayLike, reference: Signal | ArrayLike, rate_hz: float | None
+) -> tuple[Float, Float, float]:
+    """Return a pair as `_get_pair`; raise UsageError if it is shorter than one block at the metrics' own rate."""
+    from .similarity import BLOCK_SAMPLES, TUM_RATE_HZ
+
+    first, second, rate = _get_pair(signal, reference, rate_hz)
+    if int(len(first) * TUM_RATE_HZ / rate + 1e-9) < BLOCK_SAMPLES:
+        shortest = BLOCK_SAMPLES / TUM_RATE_HZ
+        raise UsageError(f"{len(first) / rate:.3g} s are less than one block.", remedy=f"Give {shortest:g} s or more.")
+    return first, second, rate
 
 
 def _get_window(samples: Float, rate: float) -> int:

@@ -167,7 +167,7 @@ def train_from_recordings(
     if overrides.augment and not any(attempt.config.directed for attempt in attempts):
         raise UsageError(
             "--augment turns directions around, and none was recorded.",
-            remedy="Leave it out, or add a column direction_rad.",
+            remedy="Leave it out, or record x and y of the tip, which give the direction.",
         )
     make = Schedule.published if overrides.form == "published" else Schedule
     schedule = make() if overrides.epochs is None else make(overrides.epochs)

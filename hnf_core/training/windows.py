@@ -154,6 +154,10 @@ def cut_windows(
         np.concatenate(directions), np.concatenate(speeds), np.concatenate(forces), np.concatenate(contacts),
         probes.pop(),
     )  # fmt: skip
+    if not any(chunk.any() for chunk in powers):
+        raise UsageError(
+            "the acceleration of the recordings is constant throughout.", remedy="Check the sensor's column and cable."
+        )
     known = frozenset().union(*(recording.known for recording in recordings))
     power, start, first = np.concatenate(powers), np.concatenate(starts), np.concatenate(firsts)
     if add_reversed:
@@ -263,7 +267,7 @@ def _compute_direction_changes(direction: Float) -> Float:
 def _find_counted_bins(recordings: Sequence[Recording]) -> NDArray[np.bool_]:
     """Return a mask (107,) of the spectrum's bins below 0.9 of the recordings' lowest Nyquist frequency."""
     upper_edge = np.cumsum(compute_bin_widths())
-    rate = min(recording.sample_rate for recording in recordings)
+    rate = min(recording.measured_rate or recording.sample_rate for recording in recordings)
     return np.asarray(upper_edge <= 0.45 * rate) if rate < MODEL_RATE_HZ else np.ones(len(upper_edge), dtype=bool)
 
 

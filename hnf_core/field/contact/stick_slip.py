@@ -57,6 +57,8 @@ LONGEST_WAVE_M = 20e-3
 variance."""
 LEAST_MOVING_STATES = 50
 """States of slow motion (0.25 s) from which a span counts; faster starts and stops have no time to wind up the hand."""
+LONG_WINDING_S = 4.0
+"""Time between two slips from which a stroke begins between them [s]; quicker ones follow the first at once."""
 SHORTEST_WAVE_M = 20e-6
 """Shortest wave of that fluctuation [m], as of the simulator's map: a slow tip would make it audible."""
 FORCE_SEED = 0x571C_511B
@@ -187,9 +189,29 @@ class SlidingContact:
 
     def start(self, speed: float, load: float) -> list[float]:
         """Return the state of steady sliding: deflection [m] and velocity [m/s] against the hand, bristles' force."""
-        curve = 1.0 + (STATIC_OVER_KINETIC - 1.0) * math.exp(-((speed / STRIBECK_SPEED_M_S) ** 2))
-        bristles = self.friction * curve * min(abs(speed) / 1e-9, 1.0)
-        return [-load * bristles * self.inverse_mass / self.hand_spring if self.hand_spring else 0.0, 0.0, bristles]
+        extra = (STATIC_OVER_KINETIC - 1.0) * math.exp(-((speed / STRIBECK_SPEED_M_S) ** 2))
+        bristles = self.friction * (1.0 + extra) * min(abs(speed) / 1e-9, 1.0)
+        return [self._balance(load * bristles), 0.0, bristles]
+
+    def start_stuck(self, speed: float, load: float, fluctuation: float) -> list[float]:
+        """Return the state halfway between two slips, the tip at rest under a moving hand; units as for `integrate`.
+
+        Steady sliding is unstable at such speeds: a stroke that began with it would begin with a jerk, long before the
+        next one.
+        """
+        bristles = self.friction * (1.0 + 0.5 * (STATIC_OVER_KINETIC - 1.0)) * min(abs(speed) / 1e-9, 1.0)
+        grip = max(load + fluctuation / max(bristles, self.friction), 0.0)
+        return [self._balance(grip * bristles), -speed, bristles]
+
+    def measure_winding(self, speed: float, load: float) -> float:
+        """Return the time in which a hand at this speed winds up its spring from sliding to breaking away [s]."""
+        pull = self.hand_spring * abs(speed)
+        rise = self.friction * (STATIC_OVER_KINETIC - 1.0) * load * self.inverse_mass
+        return rise / pull if pull > 0.0 else 0.0
+
+    def _balance(self, force: float) -> float:
+        """Return the deflection at which the hand's spring balances a friction force [N]."""
+        return -force * self.inverse_mass / self.hand_spring if self.hand_spring else 0.0
 
     def integrate(self, velocity: Float, load: Float, fluctuation: Float, state: list[float]) -> list[float]:
         """Integrate some steps; return the acceleration against the hand at each [m/s²], and continue the state.
@@ -335,10 +357,13 @@ class StickSlip:
         return np.asarray(samples)
 
     def _start_state(self, begin: int) -> list[float]:
-        """Return the motion at a span's first state: steady sliding, or none where the touch begins there."""
+        """Return the motion at a span's first state: sliding, stuck, or none where the touch begins there."""
         if begin > 0 and not self._condition.contact[begin - 1]:
             return [0.0, 0.0, 0.0]
-        return self._get_contact(begin).start(float(self._condition.speed[begin]), float(self._force[begin]))
+        contact, speed, load = self._get_contact(begin), float(self._condition.speed[begin]), float(self._force[begin])
+        if begin == 0 and contact.measure_winding(speed, load) > LONG_WINDING_S:
+            return contact.start_stuck(speed, load, float(self._draw_fluctuation(np.arange(2))[0]))
+        return contact.start(speed, load)
 
     def _get_contact(self, row: int) -> SlidingContact:
         """Return the contact at a state."""

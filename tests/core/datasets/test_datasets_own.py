@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hnf_core.datasets.recording import find_doubts
 from hnf_core.datasets.registry import open_dataset
 from hnf_core.datasets.time_series import MIN_DURATION_S
 from hnf_core.errors import FileError, MaterialError
@@ -207,3 +208,40 @@ def test_a_table_that_cannot_be_used_says_why(tmp_path, table, words):
 def test_an_empty_folder_says_what_belongs_into_it(tmp_path):
     with pytest.raises(FileError, match="no CSV table"):
         _ = open_dataset("own", tmp_path).materials
+
+
+@pytest.mark.parametrize("rate", [2001.0, 2500.0, 8000.0])
+def test_slow_sensors_keep_their_band_and_say_where_it_ends(tmp_path, rate):
+    count = round(4.0 * rate) + 1
+    table = {
+        "time": np.arange(count) / rate,
+        "acceleration": np.random.default_rng(0).normal(size=count),
+        "force": np.ones(count),
+        "speed": np.full(count, 0.1),
+    }
+    recording = only(write(tmp_path / "a" / "1.csv", table).parent)
+    assert recording.measured_rate == pytest.approx(rate)
+    power = np.abs(np.fft.rfft(recording.samples)) ** 2
+    frequency = np.fft.rfftfreq(len(recording.samples), 1.0 / recording.sample_rate)
+    expected = power.sum() / (rate / 2.0)
+    for low in np.arange(100.0, 0.4 * rate, 200.0):
+        level = 10.0 * np.log10(power[(frequency >= low) & (frequency < low + 200.0)].sum() / 200.0 / expected)
+        assert abs(level) < 0.8
+    assert power[frequency > 0.52 * rate].sum() < 1e-4 * power.sum()
+
+
+@pytest.mark.parametrize("count", [20_000, 40_000, 40_001])
+def test_the_slowest_rate_is_taken_at_any_length(tmp_path, count):
+    table = {name: np.resize(values, count) for name, values in columns(2000.0).items()}
+    table["time"] = np.arange(count) / 2000.0
+    assert only(write(tmp_path / "a" / "1.csv", table).parent).duration_s == pytest.approx(count / 2000.0, abs=0.01)
+
+
+def test_units_that_nobody_has_are_doubted(tmp_path):
+    table = columns()
+    fine = only(write(tmp_path / "a" / "1.csv", table).parent)
+    assert not any("?" in doubt for doubt in find_doubts([fine]))
+    table["speed"], table["acceleration"] = 1e3 * table["speed"], 1e6 * table["acceleration"]
+    doubts = find_doubts([only(write(tmp_path / "b" / "1.csv", table).parent)])
+    assert [doubt for doubt in doubts if "is its acceleration in m/s²?" in doubt] != []
+    assert [doubt for doubt in doubts if "in mm?" in doubt] != []

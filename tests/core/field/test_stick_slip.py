@@ -226,3 +226,16 @@ def test_the_motion_along_the_stroke_is_not_counted_twice():
     heard = power.sum(axis=0) > 1e-12 * power.sum(axis=0).max()
     ratio = left[:, 0, carriers.arc_slice][heard] / alpha[:, 0, carriers.arc_slice][heard]
     np.testing.assert_allclose(np.square(ratio), power[1:].sum(axis=0)[heard] / power.sum(axis=0)[heard], atol=1e-9)
+
+
+@pytest.mark.parametrize("material", ["oak-wood", "rubber"])
+@pytest.mark.parametrize("speed", [1e-5, 1e-4])
+def test_a_stroke_that_begins_slowly_begins_without_a_jerk(material, speed):
+    entry = get_material(material)
+    for seed in range(4):
+        stroke = uniform_stroke(make_steady_action(2.0, speed, 1.0), entry.token, entry.mechanics)
+        result = synthesise(load_field(), stroke, seed=seed)
+        # The hand winds up its spring by a hundredth of what a slip needs.
+        assert np.abs(result.signal.samples[:200]).max() < 0.1
+        assert result.confidence < 0.5
+        assert any("Speed" in warning for warning in result.warnings)

@@ -172,3 +172,34 @@ def test_a_published_texture_is_learned_to_its_exact_spectrum(tmp_path: Path) ->
             loud = exact > 1e-3 * exact.max()
             distances.append(np.sqrt(np.mean(np.square(10.0 * np.log10(found[loud] / exact[loud])))))
     assert np.mean(distances) < 0.8
+
+
+@pytest.mark.parametrize(
+    ("words", "column", "said"),
+    [
+        (("--states", "0"), None, "--states must be at least 1"),
+        (("--hidden", "-3"), None, "--hidden must be at least 1"),
+        (("--layers", "0"), None, "--layers must be at least 1"),
+        (("--source", "model"), None, "there is no model"),
+        (("--seconds", "5"), None, "--seconds is for strokes on a model"),
+        ((), "acceleration", "is constant throughout"),
+        ((), "speed", "no recorded stroke ever moves"),
+        ((), "force", "no recorded stroke ever presses"),
+    ],
+)
+def test_own_recordings_are_refused_in_words(tmp_path: Path, capsys, words, column, said) -> None:
+    time = np.arange(30_001) / 10_000.0
+    table = {
+        "time": time, "acceleration": np.random.default_rng(0).normal(size=len(time)),
+        "force": np.ones(len(time)), "speed": np.full(len(time), 0.1),
+    }  # fmt: skip
+    if column is not None:
+        table[column] = np.zeros(len(time))
+    (tmp_path / "own" / "cloth").mkdir(parents=True)
+    rows = [",".join(f"{value:.6g}" for value in row) for row in np.stack(list(table.values()), axis=1)]
+    (tmp_path / "own" / "cloth" / "1.csv").write_text("\n".join([",".join(table), *rows]), encoding="utf-8")
+    out = tmp_path / "cloth.safetensors"
+    data = ("--data", "own", tmp_path / "own", "--material", "cloth", "--epochs", "1")
+    assert hnf("train", "field", *data, "--hidden", "8", "--layers", "1", "--out", out, *words) != 0
+    assert said in capsys.readouterr().err
+    assert not out.exists()
