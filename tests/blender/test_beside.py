@@ -20,10 +20,11 @@ from hnf_core.progress import Cancelled, Progress
 LONG_S = 30.0
 
 
-def baked(folder, counts, cancel_at=None):
+def baked(folder, counts, cancel_at=None, shares=None):
+    """The bake of the only stroke, and the shares of it that were told, which are added to a list that is given."""
     session = make_scene_session(bpy.context.scene, bpy.context.view_layer, folder)
     (job,) = gather_jobs(session).jobs
-    touched, shares = session.get_touched_object(bpy.data.objects[PLATE]), []
+    touched, shares = session.get_touched_object(bpy.data.objects[PLATE]), [] if shares is None else shares
 
     def show(progress: Progress) -> None:
         shares.append(progress.fraction)
@@ -41,6 +42,7 @@ def test_patches_are_described_during_ray_casts_but_not_renders(tmp_path, monkey
     patches = len(plain.patches)
     assert patches > 1
     busy, cast_began, described, beside, renders = threading.Event(), threading.Semaphore(0), [], [], []
+    shares: list[float] = []
     record, cast, render = bake_patches._make_record, closeup.cast_view, closeup.render_passes
 
     def slow_record(*args):
@@ -51,10 +53,10 @@ def test_patches_are_described_during_ray_casts_but_not_renders(tmp_path, monkey
         return found
 
     def watched_cast(*args):
-        if beside:
+        if shares:
             beside.append(busy.wait(LONG_S))
             cast_began.release()
-        else:  # nobody is before the first
+        else:  # before a share is told, nothing has been given to be described
             beside.append(busy.is_set())
         return cast(*args)
 
@@ -66,7 +68,7 @@ def test_patches_are_described_during_ray_casts_but_not_renders(tmp_path, monkey
     monkeypatch.setattr(closeup, "cast_view", watched_cast)
     monkeypatch.setattr(closeup, "render_passes", watched_render)
     counts = Counts()
-    stroke, shares = baked(tmp_path, counts)
+    stroke, _ = baked(tmp_path, counts, shares=shares)
     assert described == [True] * patches
     # The small view that chooses the sampling of a procedural relief comes first, and alone.
     assert beside == [False] * (len(beside) - patches + 1) + [True] * (patches - 1)

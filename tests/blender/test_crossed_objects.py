@@ -10,7 +10,8 @@ import pytest
 from builders import add_mesh, bump_material
 from job_scene import bake
 from stroke_builders import read
-from touch_scene import line_stroke, save_scene, signals, touch
+from touch_scene import line_stroke, save_scene, signals
+from touch_scene import touch_without_pictures as touch
 
 from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_blender.state.session_state import STATE

@@ -10,7 +10,8 @@ import pytest
 from builders import add_plane, bump_material, float_image, math_node
 from closeup_builders import look
 from panel_recorder import drawn
-from touch_scene import line_stroke, save_scene, set_keys, signals, touch
+from touch_scene import line_stroke, save_scene, set_keys, signals
+from touch_scene import touch_without_pictures as touch
 
 from hnf_blender.bridge.shader.bump_displacement import judge_normal_colour
 from hnf_blender.bridge.shader.images import get_rounding_step, parse_jpeg_step

@@ -10,7 +10,8 @@ import pytest
 from builders import add_mesh, add_plane, add_sphere, bump_material
 from closeup_builders import patch, plane_coordinates, render_closeup
 from mathutils import Matrix
-from touch_scene import line_stroke, save_scene, signals, touch
+from touch_scene import line_stroke, save_scene, signals
+from touch_scene import touch_without_pictures as touch
 
 from hnf_blender.bridge.render.closeup import CloseUp
 from hnf_blender.bridge.scene.meshes import describe_idle_modifiers

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import bpy
 from job_scene import PLATE, kept, line_stroke, small_scene
-from touch_scene import save_scene, touch
+from touch_scene import save_scene
+from touch_scene import touch_without_pictures as touch
 
 from hnf_blender.bridge.scene.scene_names import find_object, get_named_objects, get_scene_name
 from hnf_blender.jobs import bake_job, baked_data

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from builders import add_mesh
 from job_scene import small_scene
-from touch_scene import PLATE, save_scene, touch
+from touch_scene import PLATE, save_scene
+from touch_scene import touch_without_pictures as touch
 
 from hnf_blender.bridge.scene.stored_data import FaceTokens, read_tokens, write_tokens
 from hnf_blender.bridge.stroke.surface_export import read_touched_surface

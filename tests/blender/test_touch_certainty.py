@@ -6,7 +6,8 @@ import bpy
 import numpy as np
 import pytest
 from builders import add_plane
-from touch_scene import line_stroke, save_scene, touch
+from touch_scene import line_stroke, save_scene
+from touch_scene import touch_without_pictures as touch
 
 from hnf_blender.bridge.render.cycles import UnlitImage
 from hnf_blender.touch.material_choice import (

@@ -10,7 +10,8 @@ import bpy
 import numpy as np
 import pytest
 from builders import add_mesh, add_plane, bump_material
-from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
+from touch_scene import PLATE, line_stroke, ridge_plate, save_scene
+from touch_scene import touch_without_pictures as touch
 
 from hnf_core.export.wav import read_wav
 from hnf_core.field.carriers import Carriers

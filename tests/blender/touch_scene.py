@@ -62,14 +62,18 @@ def save_scene(path: Path) -> Path:
 
 
 def touch(scene: Path, out: Path, *words: str) -> tuple[int, dict]:
-    """Run the command line, its view of each stroke a quarter as large: it takes longer than the touch itself. Exit
-    code and report."""
+    """Run the command line, its view of each stroke a quarter as large. Exit code and report."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(overview, "WIDTH", overview.WIDTH // 2)
         patch.setattr(overview, "HEIGHT", overview.HEIGHT // 2)
         code = main(["touch", str(scene), "--out", str(out), *words])
     report = out / "report.json"
     return code, json.loads(report.read_text()) if report.is_file() else {}
+
+
+def touch_without_pictures(scene: Path, out: Path, *words: str) -> tuple[int, dict]:
+    """As `touch`, for tests of what is felt and said: to draw a stroke takes as long as to touch and synthesize it."""
+    return touch(scene, out, "--no-pictures", *words)
 
 
 def signals(out: Path, report: dict) -> dict[str, Signal]:
