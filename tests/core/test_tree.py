@@ -107,7 +107,7 @@ def is_unsafe(path: Path, tree: ast.Module) -> list[str]:
             continue
         if isinstance(node.func, ast.Name) and node.func.id in UNSAFE_CALLS:
             found.append(f"line {node.lineno}: {node.func.id}()")
-        if isinstance(node.func, ast.Attribute) and ast.unparse(node.func) == "torch.load":
+        if isinstance(node.func, ast.Attribute) and node.func.attr == "load" and ast.unparse(node.func) == "torch.load":
             found.append(f"line {node.lineno}: torch.load unpickles; use safetensors")
         found += [
             f"line {node.lineno}: allow_pickle"

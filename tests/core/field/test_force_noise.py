@@ -60,7 +60,7 @@ HANDS, RUBBED = ((0.05, 2.0), (0.1, 1.0), (0.15, 0.5)), Mechanics(5e4, 0.3, 0.35
 
 @cache
 def simulate_flat_strokes() -> dict[tuple[float, float], np.ndarray]:
-    """Acceleration on a flat surface in 24 directions, by speed and force: all in one batch, a step of which is dear."""
+    """Acceleration on a flat surface in 24 directions, by speed and force: all in one batch."""
     flat = SmoothedMaps(np.zeros((64, 64), np.float32))
     strokes = [
         straight_stroke(*hand, 2.0, angle_rad=angle, start_m=(0.0017 * i, 0.001 * i))
