@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -112,8 +113,14 @@ def compute_band_expectation(edges: Float) -> Float:
 def compute_expectation_matrices(carriers: Carriers, speeds: Float) -> tuple[Float, Float]:
     """Compute the expected densities of time carriers (Kt, 107) and of arc carriers at S speeds (S, Ka, 107)."""
     time = compute_band_expectation(carriers.time_edges()) if carriers.time_count else np.zeros((0, 107))
-    arc = np.stack([compute_band_expectation(carriers.arc_edges() * speed) for speed in speeds])
+    arc = np.stack([_compute_arc_expectation(carriers, float(speed)) for speed in speeds])
     return time, arc
+
+
+@lru_cache(maxsize=256)
+def _compute_arc_expectation(carriers: Carriers, speed: float) -> Float:
+    """Compute the densities (Ka, 107) of arc carriers at a speed. Fields that are tried in turn share their speeds."""
+    return compute_band_expectation(carriers.arc_edges() * speed)
 
 
 FORMAT = "hnf-checkpoint-1"
