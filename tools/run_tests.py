@@ -67,12 +67,13 @@ BLENDER_INDEPENDENT = (
 MAIN_ONLY = (
     "test_predicted_route", "test_probe_predicted", "test_touch_predicted", "test_jobs_predicted", "test_stress",
     "test_lazy", "test_learn", "test_touch_again", "test_touch_bad_input", "test_touch_certainty",
-    *BLENDER_INDEPENDENT,
+    "test_touch_own_field", *BLENDER_INDEPENDENT,
 )  # fmt: skip
 # Long tests on which Blender 4.2 and 5.0 agree; test_jobs runs the main job, and `make test-app` a later Blender still.
 NOT_ON_NEWEST = (
     "test_real_scenes", "test_touch", "test_probe", "test_extension", "test_preview_export", "test_cache_truth",
-    "test_splats_touch", "test_demo_scene", "test_actuator*", "test_modal_job", "test_namesakes", *MAIN_ONLY,
+    "test_splats_touch", "test_demo_scene", "test_actuator*", "test_modal_job", "test_namesakes",
+    "test_doubtful_relief", "test_placement", *MAIN_ONLY,
 )  # fmt: skip
 # What calls Blender's API most; the rest of it runs on the versions before and after.
 ON_MIDDLE = (
@@ -92,12 +93,13 @@ NUMPY_INDEPENDENT = (
     "test_stream_cli", "test_make_tools", "test_tree", "test_docs", "test_startup", "test_lazy_rendering",
     "test_nearby_mesh", "test_names", "test_front_door", "test_no_circles", "test_phrasings", "test_release",
 )  # fmt: skip
-# Numpy 1.24 is that of Blender 4.2, which never trains, simulates or evaluates; its own tests play and stream with it.
+# Numpy 1.24 is that of Blender 4.2, which never trains, simulates, evaluates or studies; its own tests play and stream
+# with it.
 NOT_USED_IN_BLENDER = (
     "test_live*", "test_limiter", "test_numerics_streaming", "test_stream*", "test_incremental_rendering",
     "test_virtual_*", "test_serial_protocol", "test_fading_queue", "test_extrapolation", "test_train_needs",
 )  # fmt: skip
-FOLDERS_NOT_USED_IN_BLENDER = ("batch", "datasets", "simulation", "training")
+FOLDERS_NOT_USED_IN_BLENDER = ("batch", "datasets", "simulation", "study", "training")
 # With bpy 5.2, numpy 2 runs most of the library; these are its numbers by themselves.
 NEW_NUMPY_ARGUMENTS = tuple(f"tests/core/{name}" for name in ("kernel", "material", "metrics", "scene", "tactile"))
 
@@ -105,6 +107,7 @@ LABORATORY_TESTS = "tools/hnf_lab/tests"
 OLD_NUMPY_ARGUMENTS = (
     *exclude_tests("tests/core", *NUMPY_INDEPENDENT, *NOT_USED_IN_BLENDER),
     *(f"--ignore=tests/core/{folder}" for folder in FOLDERS_NOT_USED_IN_BLENDER),
+    *("-k", "not simulator or test_library"),  # fields beside the simulator
 )
 
 # The longest first, so that two workers end at about the same time.

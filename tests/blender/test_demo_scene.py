@@ -11,7 +11,8 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Vector
-from touch_scene import signals, touch
+from touch_scene import signals
+from touch_scene import touch_without_pictures as touch
 
 from hnf_blender import compat
 from hnf_blender.bridge.importers import open_scene

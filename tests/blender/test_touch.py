@@ -8,7 +8,17 @@ import bpy
 import numpy as np
 import pytest
 from builders import add_mesh, add_plane, bump_material
-from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, signals, spectrum_db, touch
+from touch_scene import (
+    PLATE,
+    line_stroke,
+    ridge_plate,
+    save_scene,
+    set_keys,
+    signals,
+    spectrum_db,
+    touch,
+    touch_without_pictures,
+)
 
 from hnf_blender.bridge.scene.stored_data import TOKEN_ATTRIBUTE, read_tokens
 from hnf_blender.touch import output_files
@@ -16,7 +26,7 @@ from hnf_core.export.plots.stroke_figure import write_stroke_figure
 
 
 def rms_of_one(scene, out, *words) -> float:
-    code, report = touch(scene, out, *words)
+    code, report = touch_without_pictures(scene, out, *words)
     assert code == 0, report
     return report["strokes"][0]["rms_m_s2"]
 
@@ -48,7 +58,7 @@ def test_ridges_are_felt_at_their_own_tone(tmp_path) -> None:
     """2 mm ridges under 100 mm/s give 50 Hz, and nothing else as loud."""
     ridge_plate()
     line_stroke("Across", length=0.06)
-    _, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
+    _, report = touch_without_pictures(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
     signal = signals(tmp_path / "out", report)["Across"]
     middle = signal.samples[1500:4500] * np.hanning(3000)
     power = np.abs(np.fft.rfft(middle, 1 << 16)) ** 2
@@ -157,7 +167,7 @@ def test_doubled_force_is_louder_and_no_bump_is_different(tmp_path) -> None:
 def test_where_the_scene_stands_changes_nothing(tmp_path) -> None:
     plate, stroke = ridge_plate(), line_stroke("Along", along=(1.0, 0.3, 0.0))
     scene = save_scene(tmp_path / "scene.blend")
-    _, report = touch(scene, tmp_path / "a")
+    _, report = touch_without_pictures(scene, tmp_path / "a")
     here = signals(tmp_path / "a", report)["Along"].samples
     bpy.ops.wm.open_mainfile(filepath=str(scene))
     plate, stroke = bpy.data.objects[PLATE], bpy.data.objects["Along"]
@@ -165,7 +175,7 @@ def test_where_the_scene_stands_changes_nothing(tmp_path) -> None:
         obj.location, obj.rotation_euler = (7.0, -7.0, 1.0), (0.4, 0.2, 1.1)
     # Both stand at the origin, so equal matrices move them together.
     save_scene(scene)
-    _, report = touch(scene, tmp_path / "b")
+    _, report = touch_without_pictures(scene, tmp_path / "b")
     there = signals(tmp_path / "b", report)["Along"].samples
     assert len(here) == len(there)
     assert np.std(there - here) < 0.01 * np.std(here)
@@ -176,14 +186,14 @@ def test_turning_the_uvs_swaps_along_and_across(tmp_path) -> None:
     line_stroke("X", along=(1, 0, 0), length=0.06)
     line_stroke("Y", along=(0, 1, 0), length=0.06)
     scene = save_scene(tmp_path / "scene.blend")
-    _, report = touch(scene, tmp_path / "a")
+    _, report = touch_without_pictures(scene, tmp_path / "a")
     before = {name: spectrum_db(signal) for name, signal in signals(tmp_path / "a", report).items()}
     bpy.ops.wm.open_mainfile(filepath=str(scene))
     plate = bpy.data.objects[PLATE]
     for loop in plate.data.uv_layers[0].data:
         loop.uv = (loop.uv[1], -loop.uv[0])
     save_scene(scene)
-    _, report = touch(scene, tmp_path / "b")
+    _, report = touch_without_pictures(scene, tmp_path / "b")
     after = {name: spectrum_db(signal) for name, signal in signals(tmp_path / "b", report).items()}
 
     def distance(a, b):
@@ -200,7 +210,7 @@ def test_pressing_and_lifting_in_place_gives_two_transients(tmp_path) -> None:
     stroke.animation_data_clear()
     set_keys(stroke, "progress", (1.0, 0.5), (25.0, 0.5))
     set_keys(stroke, "force", (1.0, 0.0), (6.0, 0.0), (6.5, 2.0), (18.0, 2.0), (18.5, 0.0), (25.0, 0.0))
-    _, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
+    _, report = touch_without_pictures(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
     samples = signals(tmp_path / "out", report)["Press"].samples.astype(np.float64)
     second = 10_000
 
@@ -245,7 +255,7 @@ def test_the_artists_material_wins(tmp_path) -> None:
     ridge_plate()
     line_stroke("Along")
     scene = save_scene(tmp_path / "scene.blend")
-    _, report = touch(scene, tmp_path / "out", "--material", f"{PLATE}={library_name('wood')}")
+    _, report = touch_without_pictures(scene, tmp_path / "out", "--material", f"{PLATE}={library_name('wood')}")
     assert report["strokes"][0]["library_material"] == library_name("wood")
 
 
@@ -332,7 +342,7 @@ def test_the_plan_says_what_and_does_nothing(tmp_path, capsys) -> None:
 def test_a_relief_no_surface_has_is_noted_once(tmp_path, height, unusual) -> None:
     ridge_plate(height=height)
     line_stroke("Along")
-    _, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
+    _, report = touch_without_pictures(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
     notes = [warning for warning in report["warnings"] if "from top to bottom" in warning]
     assert len(notes) == int(unusual)
 
@@ -341,11 +351,12 @@ def test_the_scale_is_reported_and_can_be_given(tmp_path, capsys) -> None:
     plate = ridge_plate(size=12.0)
     plate.data.materials[0] = bump_material("Ridges", wavelength=0.2, height=6e-3)  # 2 mm long at a hundredth
     scene = save_scene(tmp_path / "centimetres.blend")
-    code, report = touch(scene, tmp_path / "out", "--scale", "0.01", "--stroke", "left-right-soft", "--on", PLATE)
+    words = ("--stroke", "left-right-soft", "--on", PLATE)
+    code, report = touch_without_pictures(scene, tmp_path / "out", "--scale", "0.01", *words)
     assert code == 0
     assert (report["metres_per_unit"], report["scale_source"]) == (0.01, "--scale")
     assert report["strokes"][0]["height_peak_to_peak_m"] == pytest.approx(60e-6, rel=0.05)
-    _, report = touch(scene, tmp_path / "metres", "--stroke", "left-right-soft", "--on", PLATE)
+    _, report = touch_without_pictures(scene, tmp_path / "metres", *words)
     assert (report["metres_per_unit"], report["scale_source"]) == (1.0, "the scene's units")
     (large,) = [warning for warning in report["warnings"] if "17 m across" in warning]
     assert "Units in the Touch tab" in large

@@ -6,8 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from builders import add_mesh, add_plane
-from touch_scene import save_scene
-from touch_scene import touch_without_pictures as touch
+from touch_scene import save_scene, touch
 
 from hnf_blender.bridge.importers import open_scene
 from hnf_blender.bridge.scene import touchable
