@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from .action.action import Action as GridAction
 from .action.action import action_from_table, check_plausibility, read_action_table
 from .action.primitives import Primitive
-from .errors import FileError, HnfError, UsageError
+from .errors import FileError, HnfError, UsageError, check_seed
 from .field.field import Field
 from .field.stroke import Synthesis
 from .material.contact_model import Mechanics
@@ -73,6 +73,8 @@ class Material:
 class Action:
     """Motion and force of the hand, u(t) = [direction, speed, normal force], on any rising time grid.
 
+    Values that seem to have another unit, or contradict each other, are taken as they are and warned of (UserWarning).
+
     Parameters
     ----------
     time_s : array_like, shape (n,)
@@ -94,11 +96,6 @@ class Action:
         For columns of different lengths, times that do not rise, values that are not finite, negative speed or force.
     UsageError
         For values that are no numbers, or a probe that is not known.
-
-    Warns
-    -----
-    UserWarning
-        For values that seem to have another unit or contradict each other; they are taken as they are.
 
     Examples
     --------
@@ -332,11 +329,6 @@ def read_action(path: PathText, probe: str = "pen") -> Action:
     probe : str
         The contacting tip: ``"pen"``, ``"finger"``, or the name or file of another one.
 
-    Warns
-    -----
-    UserWarning
-        As `Action`, and for forces below 0 that are taken for a sensor's noise.
-
     Returns
     -------
     Action
@@ -353,9 +345,8 @@ def read_action(path: PathText, probe: str = "pen") -> Action:
     >>> import hnf_core as hnf
     >>> hnf.read_action("stroke.csv")  # doctest: +SKIP
     """
-    source = Path(fspath(path))
     messages: list[str] = []
-    table = read_action_table(source, messages.append)
+    table = read_action_table(Path(fspath(path)), messages.append)
     for message in messages:
         warnings.warn(message, stacklevel=2)
     return Action(table.time, table.direction, table.speed, table.force, probe, table.position)
@@ -413,7 +404,7 @@ def synthesise(
         material = Material(trained.name, trained.token, trained.mechanics, material)
     if not isinstance(material, Material):
         raise UsageError(f"{type(material).__name__} is no material.", remedy="Give hnf.material(NAME) or a field.")
-    _check_seed(seed)
+    check_seed(seed)
     grid, stroke_name = _to_grid(action, seed)
     if probe is not None:
         get_probe(probe)
@@ -778,26 +769,14 @@ def touch(
     # This package may not import the add-on, which depends on it: the command is looked up by name, as by a shell.
     program = import_module("hnf_blender" + ".cli")
     report = Path(fspath(out)) / "report.json"
-    before = _identify_file(report)
-    if program.main(arguments) != 0 and _identify_file(report) == before:
+    before = report.stat() if report.is_file() else None  # A file that is written atomically is another one.
+    if program.main(arguments) != 0 and (not report.is_file() or report.stat() == before):
         raise HnfError("the scene could not be touched; the lines above say why.", where=str(fspath(scene)))
     try:
         content: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FileError(f"the report cannot be read ({error}).", where=str(report)) from error
     return content
-
-
-def _identify_file(path: Path) -> tuple[int, int] | None:
-    """Return what is different for every version of a file that is written atomically; None without one."""
-    return (path.stat().st_ino, path.stat().st_mtime_ns) if path.is_file() else None
-
-
-def _check_seed(seed: int) -> None:
-    from .cli.commands import SEED_LIMIT
-
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < SEED_LIMIT:
-        raise UsageError(f"seed {seed!r:.40}: not a whole number from 0 to 2^63 − 1.", remedy="Give e.g. 0.")
 
 
 def _get_library_material(name: str) -> Material:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from operator import index
 
 
 class HnfError(Exception):
@@ -87,3 +88,14 @@ def format_choices(names: Iterable[str], limit: int = 12) -> str:
 def pluralize(count: int, singular: str) -> str:
     """Format a count with its noun, whose plural ends in s: "1 block", "2 blocks"."""
     return f"{count} {singular}" if count == 1 else f"{count} {singular}s"
+
+
+SEED_LIMIT = 2**63
+"""Seeds are whole numbers from 0 to below this."""
+
+
+def check_seed(seed: object) -> None:
+    """Raise UsageError unless a seed is a whole number from 0 to SEED_LIMIT − 1."""
+    is_whole = hasattr(seed, "__index__") and not isinstance(seed, bool)
+    if not (is_whole and 0 <= index(seed) < SEED_LIMIT):  # type: ignore[arg-type]
+        raise UsageError(f"seed {seed!r:.40}: not a whole number from 0 to 2^63 − 1.", remedy="Give e.g. 0.")

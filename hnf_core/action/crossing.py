@@ -115,7 +115,7 @@ def find_seams(contacts: Contacts, owner: Int32) -> tuple[Seam, ...]:
         travel = contacts.position[i + 1] - contacts.position[i]
         normal = contacts.normal[i] + contacts.normal[i + 1]
         length = float(np.linalg.norm(normal))
-        if travel == 0.0 or length < 1e-6 or _meet_in_fold(contacts, i):
+        if travel == 0.0 or length < 1e-6 or _is_fold(contacts, i):
             continue
         step = float((contacts.point[i + 1] - contacts.point[i]) @ normal) / length * float(np.sign(travel))
         place = float(contacts.position[i] + contacts.position[i + 1]) / 2.0
@@ -126,7 +126,7 @@ def find_seams(contacts: Contacts, owner: Int32) -> tuple[Seam, ...]:
     return tuple(seams)
 
 
-def _meet_in_fold(contacts: Contacts, i: int) -> bool:
+def _is_fold(contacts: Contacts, i: int) -> bool:
     """Return True if the tangent planes of samples i and i + 1 meet between the two, along the way."""
     way = contacts.point[i + 1] - contacts.point[i]
     chord = float(np.linalg.norm(way))

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from ..errors import HnfError, UsageError
+from ..errors import SEED_LIMIT, HnfError, UsageError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -98,9 +98,6 @@ def make_laboratory_error(words: str) -> UsageError:
         f"hnf {words} belongs to the laboratory, which comes with a source checkout alone.",
         remedy=f"In a checkout: make env-test, then .venv/bin/hnf {words}",
     )
-
-
-SEED_LIMIT = 2**63
 
 
 def parse_seed(text: str) -> int:
