@@ -46,10 +46,10 @@ def on_undo_redo(*_: Any) -> None:
 
 
 def on_load_pre(*_: Any) -> None:
-    """Cancel the running job, which belongs to the file being closed (load_pre)."""
+    """Cancel the running job, which belongs to the file being closed, and end the process that waits (load_pre)."""
     from .jobs import manager
 
-    manager.cancel()
+    manager.close()
 
 
 def on_load_post(*_: Any) -> None:

@@ -11,6 +11,7 @@ import sys
 import threading
 import traceback
 import types
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -19,29 +20,62 @@ CORE_FOLDER = str(Path(__file__).resolve().parent)
 EXIT_PARENT_GONE = 3
 
 
-def exit_with_parent(*, kill_group: bool = False) -> None:
+def exit_with_parent(*, kill_group: bool = False, on_line: Callable[[str], object] | None = None) -> None:
     """End this process as soon as its parent ends.
 
-    The parent holds the other end of standard input and never writes to it, so end of file means that it has ended.
+    The parent holds the other end of standard input, so end of file means that it has ended.
 
     Parameters
     ----------
     kill_group : bool
         Also kill the processes that this one started, if it leads a process group.
+    on_line : callable, optional
+        Called from a thread with each line that the parent writes, without its end; without it they are discarded.
     """
 
     def watch() -> None:
+        unfinished = b""
         while True:
             try:
-                if not os.read(0, 1024):
-                    break
+                data = os.read(0, 1024)
             except OSError:
                 break
+            if not data:
+                break
+            if on_line is not None:
+                *lines, unfinished = (unfinished + data).split(b"\n")
+                for line in lines:
+                    on_line(line.decode("utf-8", "replace"))
         if kill_group and os.getpgrp() == os.getpid():
             os.killpg(0, signal.SIGKILL)
         os._exit(EXIT_PARENT_GONE)
 
     threading.Thread(target=watch, name="hnf parent watch", daemon=True).start()
+
+
+def measure_memory() -> int:
+    """Return the resident memory of this process [bytes]; on macOS its peak, and 0 if the system tells nothing."""
+    try:
+        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, AttributeError):
+        return _measure_on_windows() if sys.platform == "win32" else _measure_peak()
+
+
+def _measure_peak() -> int:
+    import resource  # Windows has none.
+
+    return int(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)  # In bytes on macOS.
+
+
+def _measure_on_windows() -> int:
+    import ctypes
+
+    sizes = (ctypes.c_size_t * 9)()  # PROCESS_MEMORY_COUNTERS: two DWORDs, then eight sizes
+    sizes[0] = ctypes.sizeof(sizes)
+    kernel: Any = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
+    kernel.GetCurrentProcess.restype = ctypes.c_void_p
+    this_process = ctypes.c_void_p(kernel.GetCurrentProcess())
+    return int(sizes[2]) if kernel.K32GetProcessMemoryInfo(this_process, sizes, sizes[0]) else 0
 
 
 def load_package(name: str, folder: str) -> None:

@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,8 @@ from ..state.addon_settings import get_cache_folder
 from ..state.job_results import QueryView
 from ..state.session_state import STATE, JobStatus, LastJob
 from ..translations import tr
+from . import manager
+from .bake_process import BakeProcess, begin_job
 from .child_job import (
     ChildJob,
     ChildProcess,
@@ -33,7 +34,6 @@ from .child_job import (
     Message,
     Started,
     Step,
-    make_blender_program,
     make_job_folder,
     remove_job_folder,
 )
@@ -41,6 +41,7 @@ from .commit import CommitResult, CommitTarget, commit_steps, find_target_scene,
 from .job_runner import run_job, select_strokes
 from .query_job import load_query_result
 from .request import SCENE_NAME, JobRequest, JobResult, read_result, write_request
+from .worker import NOTHING_TAKEN
 
 PACKAGE = __name__.rpartition(".jobs.")[0]
 TICK_S = 0.02
@@ -65,6 +66,7 @@ class BakeJob(ChildJob):
 
     process_name = "The bake's own process"
     killed_remedy = BAKE_KILLED_REMEDY
+    _child: BakeProcess | None = None
 
     def __init__(self, scene: Any, view_layer: Any, only: Sequence[str] = (), point: TouchQuery | None = None) -> None:
         """Save a copy of the open file and start the process. Raises HnfError; nothing is left behind then."""
@@ -76,7 +78,7 @@ class BakeJob(ChildJob):
         self._started_s: float | None = None
         try:
             save_copy(self._prepared.folder / SCENE_NAME)
-            self._child = ChildProcess(self._prepared.folder, make_blender_program(self._prepared.folder))
+            self._begin()
         except BaseException:
             self.clean_up()
             raise
@@ -86,16 +88,26 @@ class BakeJob(ChildJob):
     def folder(self) -> Path:
         return self._prepared.folder
 
+    def _begin(self) -> None:
+        self._child = begin_job(self.folder, self._prepared.request)
+
     @property
     def is_committing(self) -> bool:
-        """True once the child process has ended, while its results are compared with the scene and written."""
+        """True once the child process has done its work, while its results are compared with the scene and written."""
         return self._committing is not None
 
     def _advance(self) -> LastJob | None:
-        return self._commit() if self._committing is not None else self._poll_messages()
+        if self._committing is not None:
+            return self._commit()
+        if self._child is not None and self._child.exit_code() == NOTHING_TAKEN:
+            # It had waited long enough just when it was given this job.
+            self._child.end()
+            self._begin()
+        return self._poll_messages()
 
     def cancel(self) -> LastJob:
-        """Cancel the job; its files are removed and the scene is not changed."""
+        """Cancel the job; its process is killed, its files are removed and the scene is not changed."""
+        manager.end_process()
         if self._prepared.request.probe_object:
             return self._finish(LastJob(True, tr("Nothing was examined."), is_cancelled=True))
         message = tr("Bake canceled. Nothing was changed; finished close-ups are kept.")
@@ -107,7 +119,7 @@ class BakeJob(ChildJob):
 
     def clean_up(self) -> None:
         if self._child is not None:
-            self._child.kill(on_exit=partial(remove_job_folder, self.folder))  # The process may write until it ends.
+            self._child.end(self.folder)
             self._child = None
         if self._committing is not None:
             self._committing.close()
@@ -118,6 +130,7 @@ class BakeJob(ChildJob):
         if isinstance(message, Failed):
             return LastJob(False, message.why, child.last_lines)
         if isinstance(message, Finished):
+            self._release_process()
             self._result = read_result(self.folder)
             if self._result.probed:
                 return describe_query(load_query_result(self.folder))
@@ -128,6 +141,12 @@ class BakeJob(ChildJob):
         if isinstance(message, Step):
             self._update_status(message)
         return None
+
+    def _release_process(self) -> None:
+        """Leave the process to the next job."""
+        if self._child is not None:
+            manager.set_process(self._child)
+            self._child = None
 
     def _commit(self) -> LastJob | None:
         until = time.monotonic() + TICK_S

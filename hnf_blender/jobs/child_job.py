@@ -108,7 +108,8 @@ def decode_message(line: str) -> Message | None:
     return from_json(MESSAGE_TYPES[name], text, where="message")
 
 
-JOB_FOLDER_PREFIX = "hnf-job-"
+JOB_FOLDER_PREFIX, PROCESS_FOLDER_PREFIX = "hnf-job-", "hnf-process-"
+"""Beginnings of the names of a job's folder, and of that of a child process that outlives a job."""
 
 
 def get_job_root() -> Path:
@@ -118,7 +119,7 @@ def get_job_root() -> Path:
     return Path(tempfile.gettempdir())
 
 
-def make_job_folder() -> Path:
+def make_job_folder(prefix: str = JOB_FOLDER_PREFIX) -> Path:
     """Make a new private folder of this process, and remove those of ended processes.
 
     Raises FileError if the folder cannot be made.
@@ -129,7 +130,7 @@ def make_job_folder() -> Path:
     try:
         root = str(get_job_root())
         remove_abandoned_folders()
-        return Path(tempfile.mkdtemp(prefix=f"{JOB_FOLDER_PREFIX}{os.getpid()}-", dir=root))
+        return Path(tempfile.mkdtemp(prefix=f"{prefix}{os.getpid()}-", dir=root))
     except OSError as error:
         raise FileError(
             f"no temporary folder can be made ({error.strerror}).",
@@ -147,11 +148,12 @@ def remove_job_folder(folder: Path) -> None:
 def remove_abandoned_folders() -> list[Path]:
     """Remove and return the folders of processes that have ended."""
     removed = []
-    for folder in get_job_root().glob(f"{JOB_FOLDER_PREFIX}*"):
-        owner = re.match(rf"{JOB_FOLDER_PREFIX}(\d+)-", folder.name)
-        if owner and not is_process_alive(int(owner.group(1))):
-            remove_job_folder(folder)
-            removed.append(folder)
+    for prefix in (JOB_FOLDER_PREFIX, PROCESS_FOLDER_PREFIX):
+        for folder in get_job_root().glob(f"{prefix}*"):
+            owner = re.match(rf"{prefix}(\d+)-", folder.name)
+            if owner and not is_process_alive(int(owner.group(1))):
+                remove_job_folder(folder)
+                removed.append(folder)
     return removed
 
 
@@ -249,6 +251,23 @@ class ChildProcess:
         """Last lines of output that are not messages, for the error if the process dies."""
         return tuple(self._output_tail)
 
+    def write_line(self, text: str) -> bool:
+        """Write a line to the process's standard input; return False if it has ended."""
+        if self._process.poll() is not None or self._process.stdin is None:
+            return False
+        try:
+            self._process.stdin.write(f"{text}\n".encode())
+            self._process.stdin.flush()
+        except OSError:
+            return False
+        return True
+
+    def discard_output(self) -> None:
+        """Forget the messages and lines of output received so far."""
+        for _ in self.messages():
+            pass
+        self._output_tail.clear()
+
     def messages(self) -> Iterator[Message]:
         """Yield the messages received since the last call."""
         while True:
@@ -335,18 +354,6 @@ def kill_process_group(pid: int) -> None:
         )
 
 
-def make_blender_program(folder: Path) -> ChildProgram:
-    """Return the program that runs `worker.py`: this Blender, or this Python with the bpy module."""
-    import bpy
-
-    # What it leaves if it is killed lies in the job's folder, which is removed.
-    environment = {**os.environ, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))}
-    binary = bpy.app.binary_path
-    command = make_blender_command(binary, "bake", str(folder)) if binary else make_python_command("bake", str(folder))
-    remedy = "Bake in the background instead: blender -b FILE --command hnf touch --out DIR"
-    return ChildProgram(command, "a second Blender", remedy, environment)
-
-
 class ChildJob(ABC):
     """Job in a child process; call `tick` every 0.1 s until it returns the outcome.
 
@@ -364,7 +371,7 @@ class ChildJob(ABC):
 
     @property
     def pid(self) -> int | None:
-        """Id of the child process; None once it has ended."""
+        """Id of the child process; None once it has done its work."""
         return None if self._child is None else self._child.pid
 
     def tick(self) -> LastJob | None:

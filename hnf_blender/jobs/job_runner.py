@@ -152,6 +152,22 @@ def _write_tokens(session: Session, strokes: Sequence[BakedStroke], folder: Path
     return tuple(token_files)
 
 
+def close_file(*, use_scripts: bool) -> bool:
+    """Close the job's file in the child process, which frees its memory; return whether another job may follow.
+
+    None may if scripts of the file ran (`use_scripts`), since what they changed in Python outlives the file.
+    """
+    import bpy
+
+    has_run_scripts = use_scripts and any(text.use_module for text in bpy.data.texts)
+    try:
+        with suppress_output():
+            bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    except RuntimeError:
+        return False
+    return not has_run_scripts
+
+
 def run_request(folder: Path) -> int:
     """Run the request in `folder` in the child process; return the exit code. Errors are sent as messages."""
     import bpy
@@ -181,4 +197,6 @@ def run_request(folder: Path) -> int:
     except Exception as error:
         traceback.print_exc(file=sys.stderr)
         send(Failed(f"internal error ({error!r}). Please report it."))
+    finally:
+        os.close(stream)
     return 1

@@ -9,6 +9,8 @@ import importlib
 import importlib.util
 import json
 import os
+import queue
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,18 +22,50 @@ LIST_DEVICES = "devices"
 """
 WRONG_PYTHON = 4
 """Exit code of `play` if the Python version differs from the parent's or numpy is missing."""
+NOTHING_TAKEN = 5
+"""Exit code of `bake` if it ended between two jobs: a job that was given meanwhile was not begun."""
 
 
-def bake(child_process: Any, job_folder: str) -> int:
-    """Run the request of a bake or touch query in the job's folder; return the exit code."""
-    child_process.exit_with_parent()
-    folder = Path(job_folder)
-    request = json.loads((folder / "order.json").read_text(encoding="utf-8"))
+def bake(child_process: Any, own_folder: str, idle_s: str, max_bytes: str) -> int:
+    """Run bakes and touch queries until one fails or none is left; return the exit code.
+
+    Parameters
+    ----------
+    child_process : module
+        Module `hnf_core.child_process`.
+    own_folder : str
+        Folder of this process, removed if it ends between two jobs.
+    idle_s : str
+        Time after which it ends if no job is given [s].
+    max_bytes : str
+        Memory that it may hold between two jobs [bytes].
+
+    Notes
+    -----
+    Each line of standard input is the folder of a job, as a JSON string.
+    """
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+    child_process.exit_with_parent(on_line=lines.put)
     importlib.import_module("bpy")  # Imported before the parent's paths are added, as they contain bpy's own files.
+    folder = Path(json.loads(lines.get()))
+    request = json.loads((folder / "order.json").read_text(encoding="utf-8"))
     sys.path += [entry for entry in request["sys_path"] if entry not in sys.path]
     child_process.load_package(request["package"], request["package_folder"])
     job_runner = importlib.import_module(request["package"] + ".jobs.job_runner")
-    return int(job_runner.run_request(folder))
+    while True:
+        code = int(job_runner.run_request(folder))
+        if code:
+            return code
+        try:
+            may_go_on = job_runner.close_file(use_scripts=request["use_scripts"])
+            if not may_go_on or child_process.measure_memory() > float(max_bytes):
+                break
+            folder = Path(json.loads(lines.get(timeout=float(idle_s))))
+        except queue.Empty:
+            break
+    os.chdir(Path(own_folder).parent)  # Windows removes no folder in which a process works.
+    shutil.rmtree(own_folder, ignore_errors=True)
+    return NOTHING_TAKEN
 
 
 def learn(child_process: Any, request: str, out: str) -> int:

@@ -36,18 +36,21 @@ def empty_file() -> None:
 
 @pytest.fixture
 def lone_bake(operators, tmp_path, monkeypatch):
-    """Bakes with a cache of their own (its path); none runs before or after, and none leaves a folder."""
+    """Bakes with a cache of their own (its path); none runs before or after, nor does its process, and none leaves a
+    folder."""
     from job_scene import my_folders
 
     from hnf_blender.jobs import bake_job, manager
+    from hnf_blender.jobs.child_job import PROCESS_FOLDER_PREFIX
     from hnf_blender.state.session_state import STATE
 
     monkeypatch.setattr(bake_job, "get_cache_folder", lambda: tmp_path / "cache")
     STATE.clear()
     yield tmp_path / "cache"
-    manager.cancel()
+    manager.close()
     STATE.clear()
     assert my_folders() == []
+    assert my_folders(PROCESS_FOLDER_PREFIX) == []
 
 
 @pytest.fixture(scope="session")

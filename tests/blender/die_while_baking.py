@@ -1,4 +1,7 @@
-"""Begins a bake and dies without a word: `python die_while_baking.py FOLDER`."""
+"""Begins a bake and dies without a word: `python die_while_baking.py FOLDER [waiting]`.
+
+"waiting": once it is done, and its process waits for the next.
+"""
 
 import os
 import signal
@@ -21,10 +24,10 @@ from job_scene import small_scene, start
 from hnf_blender.jobs import bake_job, manager
 from hnf_blender.state.session_state import STATE
 
-bake_job.get_cache_folder = lambda: Path(sys.argv[-1])
+bake_job.get_cache_folder = lambda: Path(sys.argv[1])
 small_scene()
 pid = start().pid
-while STATE.job is None or STATE.job.stage == "starting":
+while manager.is_running() if "waiting" in sys.argv else STATE.job is None or STATE.job.stage == "starting":
     manager.tick()
     time.sleep(0.01)
 print("CHILD", pid, "PARENT", os.getpid(), flush=True)

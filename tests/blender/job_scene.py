@@ -67,8 +67,8 @@ def kill(pid: int) -> None:
         os.kill(pid, signal.SIGKILL)
 
 
-def my_folders() -> list:
-    return list(get_job_root().glob(f"{JOB_FOLDER_PREFIX}{os.getpid()}-*"))
+def my_folders(prefix: str = JOB_FOLDER_PREFIX) -> list:
+    return list(get_job_root().glob(f"{prefix}{os.getpid()}-*"))
 
 
 def is_gone(pid: int) -> bool:

@@ -109,8 +109,12 @@ def test_a_job_that_runs_lets_events_pass_and_ends_by_itself(begun) -> None:
     assert ticked(operator, screen) == {"FINISHED"}
     assert [ended.ok for ended in operator.ended] == [True]
     assert list(kept()["bakes"]) == ["Along"]
-    assert is_over(screen, pid)
+    assert screen.is_bare
+    assert my_folders() == []
+    assert current.get_process().pid == pid  # it waits for the next
     assert poll_no_job(operator)
+    current.close()
+    assert is_over(screen, pid)
 
 
 def test_esc_cancels_in_the_view_and_passes_to_other_editors(begun) -> None:
