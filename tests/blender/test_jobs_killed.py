@@ -13,7 +13,7 @@ import pytest
 from job_scene import NOTHING, STAGES, finish, is_gone, kept, kill, my_folders, reach, small_scene, start
 
 from hnf_blender.jobs import manager
-from hnf_blender.jobs.child_job import JOB_FOLDER_PREFIX, get_job_root, is_process_alive, remove_abandoned_folders
+from hnf_blender.jobs.child_job import get_job_root, is_process_alive, remove_abandoned_folders
 from hnf_blender.state.session_state import STATE
 
 
@@ -53,10 +53,10 @@ def test_the_child_of_a_dead_parent_ends_and_its_folder_is_found(tmp_path, monke
     parent = int(words[words.index("PARENT") + 1])
     assert is_gone(pid)
     assert not is_process_alive(parent)
-    left = list(get_job_root().glob(f"{JOB_FOLDER_PREFIX}*"))
-    assert [each.name.split("-")[2] for each in left] == [str(parent)]
+    left = sorted(get_job_root().glob("hnf-*"))
+    assert [each.name.split("-")[1:3] for each in left] == [["job", str(parent)], ["process", str(parent)]]
     assert remove_abandoned_folders() == left
-    assert not list(get_job_root().glob(f"{JOB_FOLDER_PREFIX}*"))
+    assert not list(get_job_root().glob("hnf-*"))
 
 
 def test_a_killed_touch_leaves_what_the_next_one_removes(tmp_path) -> None:

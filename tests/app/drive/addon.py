@@ -96,8 +96,15 @@ class Ending:
         self.at = time.monotonic()
 
 
-def children() -> list[int]:
-    """Processes that this Blender started and that still run, however deep."""
+def busy_children() -> list[int]:
+    """Those of its children that are not the bake's process, where that waits for the next bake."""
+    process = ours("jobs.manager").get_process()
+    waiting = [] if process is None else [process.pid, *children(process.pid)]
+    return [pid for pid in children() if pid not in waiting]
+
+
+def children(of: int = 0) -> list[int]:
+    """Processes that this Blender, or another process, started and that still run, however deep."""
     parents = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
@@ -107,7 +114,7 @@ def children() -> list[int]:
                 continue
             if state_and_parent[0] != "Z":
                 parents[int(entry.name)] = int(state_and_parent[1])
-    found, front = [], [os.getpid()]
+    found, front = [], [of or os.getpid()]
     while front:
         front = [pid for pid, parent in parents.items() if parent in front]
         found += front

@@ -1,12 +1,26 @@
 """What a window does to a bake that runs: undo and redo, edits, another file, and leaving."""
 
+import time
 from pathlib import Path
 
 import bpy
 from drive import scenery
-from drive.addon import baked, children, freshness, job_folders, kept, start_bake, state, strokes
+from drive.addon import (
+    baked,
+    busy_children,
+    children,
+    freshness,
+    heard,
+    job_folders,
+    kept,
+    ours,
+    start_bake,
+    state,
+    strokes,
+)
 
 SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
+QUICK = 0.005
 
 
 def prepare(stage, scale):
@@ -29,7 +43,7 @@ def at_work(stage):
 
 def done(stage):
     yield from stage.until("the bake ends", lambda: state().job is None, 120.0)
-    stage.expect("no process is left", children() == [], children())
+    stage.expect("no process is at work", busy_children() == [], children())
     stage.expect("no folder is left", job_folders() == [], job_folders())
 
 
@@ -86,6 +100,36 @@ def check_another_file_ends_it(stage):
     stage.expect("nothing was written into it", not any(kept()[obj.name][-1] for obj in strokes()), kept())
     yield from baked(stage)
     stage.expect("and there it bakes", all(kept()[obj.name][-1] for obj in strokes()), state().last_job)
+
+
+def check_a_second_bake_finds_its_process_and_another_file_ends_it(stage):
+    """To and fro between two places whose close-ups are there: nothing is heard there before the bake."""
+    yield from prepare(stage, 36.0)
+    obj = bpy.data.objects["Stroke 1"]
+    bpy.context.view_layer.objects.active = obj
+    pids = []
+    for what in ("", "", "in a new process", "in the one that waits", "again in it"):
+        if what == "in a new process":
+            ours("jobs.manager").close()
+        obj.location.x += 0.002 if len(pids) % 2 else -0.002
+        yield 1.0
+        pressed, before = time.monotonic(), kept()
+        stamp = heard(obj.name).stamp if heard(obj.name) else None
+        start_bake(stage)
+        while state().job is not None and time.monotonic() < pressed + 60.0:
+            yield QUICK
+        took = time.monotonic() - pressed
+        while (heard(obj.name) is None or heard(obj.name).stamp == stamp) and time.monotonic() < pressed + 60.0:
+            yield QUICK
+        if what:
+            stage.measured(f"one changed stroke {what}, click → kept", took, "s")
+            stage.measured(f"one changed stroke {what}, click → sound", time.monotonic() - pressed, "s")
+        stage.expect("it is kept", kept() != before and state().last_job.ok, state().last_job)
+        pids.append(ours("jobs.manager").get_process().pid)
+    stage.expect("each process does all bakes until it is ended", len(set(pids[:2])) == len(set(pids[2:])) == 1, pids)
+    stage.expect("which it was once", pids[0] != pids[2], pids)
+    scenery.empty_room()
+    yield from stage.until("it ends with the file", lambda: children() == [], 5.0)
 
 
 def check_a_second_window_closes_without_harm(stage):

@@ -56,7 +56,7 @@ def open_test_file() -> Iterator[tuple[Any, Any]]:
         try:
             yield bpy.context.scene, bpy.context.view_layer
         finally:
-            manager.cancel()
+            manager.close()
             clear_trackers()
             STATE.clear()
 

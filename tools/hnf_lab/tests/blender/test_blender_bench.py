@@ -45,6 +45,9 @@ def test_every_kind_of_call_is_seen_and_nothing_is_left():
         "save a copy", "start", "cancel", "handler", "look at what changed", "tick, child at work", "tick, commit",
         "draw the tab",
     } <= rows.keys()  # fmt: skip
+    first, again = rows[waiting_times.FIRST_BAKE], rows[waiting_times.NEXT_BAKE]
+    assert (again.ratio_to, again.ratio.count) == (first.method, 1)
+    assert manager.get_process() is None
     assert rows["handler"].seconds.count > 1
     assert rows["tick, child at work"].seconds.count > 1
     assert all(row.seconds.lowest > 0.0 for row in rows.values())
