@@ -13,7 +13,20 @@ import bpy
 import numpy as np
 import pytest
 from builders import add_plane, bump_material
-from job_scene import PLATE, bake, finish, is_gone, kept, kill, line_stroke, my_folders, reach, small_scene, start
+from job_scene import (
+    NOTHING,
+    PLATE,
+    bake,
+    finish,
+    is_gone,
+    kept,
+    kill,
+    line_stroke,
+    my_folders,
+    reach,
+    small_scene,
+    start,
+)
 from touch_scene import ridge_plate
 
 from hnf_blender import handlers, jobs
@@ -234,6 +247,20 @@ def test_one_whose_job_failed_or_was_cancelled_is_not_used_again(warm_bake, monk
     assert job.pid is None
     assert manager.get_process() is None
     assert my_folders() == my_folders(PROCESS_FOLDER_PREFIX) == []
+
+
+def test_one_is_not_used_again_where_its_results_were_refused(warm_bake) -> None:
+    """Cancelled after its last word, while the window compares."""
+    small_scene()
+    job = start()
+    pid = job.pid
+    while not job.is_committing:
+        assert manager.tick() is None
+    assert waiting() == pid
+    manager.cancel()
+    assert is_gone(pid)
+    assert kept() == NOTHING
+    assert manager.get_process() is None
 
 
 def test_other_conditions_need_another_process(warm_bake, tmp_path, monkeypatch) -> None:
