@@ -166,7 +166,7 @@ def test_it_ends_with_the_file_and_with_the_add_on(warm_bake) -> None:
         assert my_folders(PROCESS_FOLDER_PREFIX) == []
 
 
-def test_it_ends_by_itself_and_the_next_bake_has_another(warm_bake, monkeypatch) -> None:
+def test_it_ends_by_itself_and_another_follows(warm_bake, monkeypatch) -> None:
     """After a while without a job, or with too much in its memory."""
     _, stroke = small_scene()
     for name, value in (("IDLE_S", 0.05), ("MAX_MEMORY_BYTES", 1e6)):
@@ -182,7 +182,7 @@ def test_it_ends_by_itself_and_the_next_bake_has_another(warm_bake, monkeypatch)
     assert waiting()
 
 
-def test_a_job_given_to_one_that_is_just_ending_is_done_by_another(warm_bake, monkeypatch) -> None:
+def test_a_job_given_to_one_just_ending_is_done_by_another(warm_bake, monkeypatch) -> None:
     _, stroke = small_scene()
     monkeypatch.setattr(bake_process, "MAX_MEMORY_BYTES", 1e6)
     assert bake().ok
@@ -228,7 +228,7 @@ def test_one_that_dies_at_its_second_job_is_told_and_replaced(warm_bake, stage) 
     assert waiting() != pid
 
 
-def test_one_whose_job_failed_or_was_cancelled_is_not_used_again(warm_bake, monkeypatch) -> None:
+def test_one_whose_job_failed_or_was_cancelled_is_replaced(warm_bake, monkeypatch) -> None:
     _, stroke = small_scene()
     assert bake().ok
     pid = waiting()
@@ -249,7 +249,7 @@ def test_one_whose_job_failed_or_was_cancelled_is_not_used_again(warm_bake, monk
     assert my_folders() == my_folders(PROCESS_FOLDER_PREFIX) == []
 
 
-def test_one_is_not_used_again_where_its_results_were_refused(warm_bake) -> None:
+def test_one_whose_results_were_refused_is_ended(warm_bake) -> None:
     """Cancelled after its last word, while the window compares."""
     small_scene()
     job = start()

@@ -102,7 +102,7 @@ def check_another_file_ends_it(stage):
     stage.expect("and there it bakes", all(kept()[obj.name][-1] for obj in strokes()), state().last_job)
 
 
-def check_a_second_bake_finds_its_process_and_another_file_ends_it(stage):
+def check_a_second_bake_finds_its_process(stage):
     """To and fro between two places whose close-ups are there: nothing is heard there before the bake."""
     yield from prepare(stage, 36.0)
     obj = bpy.data.objects["Stroke 1"]
