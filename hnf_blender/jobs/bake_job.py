@@ -41,7 +41,6 @@ from .commit import CommitResult, CommitTarget, commit_steps, find_target_scene,
 from .job_runner import run_job, select_strokes
 from .query_job import load_query_result
 from .request import SCENE_NAME, JobRequest, JobResult, read_result, write_request
-from .worker import NOTHING_TAKEN
 
 PACKAGE = __name__.rpartition(".jobs.")[0]
 TICK_S = 0.02
@@ -99,11 +98,12 @@ class BakeJob(ChildJob):
     def _advance(self) -> LastJob | None:
         if self._committing is not None:
             return self._commit()
-        if self._child is not None and self._child.exit_code() == NOTHING_TAKEN:
-            # It had waited long enough just when it was given this job.
-            self._child.end()
+        child, outcome = self._child, self._poll_messages()
+        if child is not None and outcome is not None and child.has_ended_between_jobs:
+            child.end()  # For example, it had waited long enough just when it was given this job.
             self._begin()
-        return self._poll_messages()
+            return None
+        return outcome
 
     def cancel(self) -> LastJob:
         """Cancel the job; its process is killed, its files are removed and the scene is not changed."""

@@ -23,6 +23,8 @@ from .child_job import (
     PROCESS_FOLDER_PREFIX,
     ChildProcess,
     ChildProgram,
+    Message,
+    Waiting,
     make_blender_command,
     make_job_folder,
     make_python_command,
@@ -71,11 +73,19 @@ class Conditions:
 
 
 class BakeProcess(ChildProcess):
-    """Child process for bakes and touch queries, one job at a time, with a folder for its temporary files."""
+    """Child process for bakes and touch queries, one job at a time, with a folder for its temporary files.
+
+    Notes
+    -----
+    Between two jobs a line is written only once the process waits: it closes the file by an operator first, and no
+    thread may run Python beside one (`compat.override_context`), not even to read a line.
+    """
 
     def __init__(self, conditions: Conditions) -> None:
         """Start the process. Raises FileError if that fails; nothing is left behind then."""
         self.conditions = conditions
+        self._line, self._is_waiting = "", True
+        self._job_count, self._has_begun = 0, False
         self.folder = make_job_folder(PROCESS_FOLDER_PREFIX)
         try:
             super().__init__(self.folder, make_blender_program(self.folder, conditions))
@@ -86,7 +96,30 @@ class BakeProcess(ChildProcess):
     def begin(self, job_folder: Path) -> bool:
         """Begin the job in a folder; return False if the process has ended."""
         self.discard_output()
-        return self.write_line(json.dumps(str(job_folder)))
+        self._line = json.dumps(str(job_folder))
+        self._job_count, self._has_begun = self._job_count + 1, False
+        self._write_if_waiting()
+        return not self.has_ended
+
+    def messages(self) -> Iterator[Message]:
+        """Yield the messages on jobs received since the last call."""
+        for message in super().messages():
+            if isinstance(message, Waiting):
+                self._is_waiting = True
+            else:
+                self._has_begun = True
+                yield message
+        self._write_if_waiting()
+
+    @property
+    def has_ended_between_jobs(self) -> bool:
+        """Whether it ended after a job, before it began the one that it was given; all messages have been read then."""
+        return self._job_count > 1 and not self._has_begun and self.exit_code() is not None
+
+    def _write_if_waiting(self) -> None:
+        if self._line and self._is_waiting:
+            self.write_line(self._line)
+            self._line, self._is_waiting = "", False
 
     def end(self, *folders: Path) -> None:
         """Kill the process, and remove its folder and those of its job."""

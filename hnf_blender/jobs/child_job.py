@@ -80,14 +80,19 @@ class Finished:
 
 
 @dataclass(frozen=True)
+class Waiting:
+    """Message that the process waits for another job."""
+
+
+@dataclass(frozen=True)
 class Failed:
     """Message that the job failed as a whole; `why` has the problem, the location and the remedy."""
 
     why: str
 
 
-Message = Started | Step | Finished | Failed
-MESSAGE_TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in (Started, Step, Finished, Failed)}
+Message = Started | Step | Finished | Failed | Waiting
+MESSAGE_TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in (Started, Step, Finished, Failed, Waiting)}
 
 
 def encode_message(message: Message) -> str:
@@ -253,7 +258,7 @@ class ChildProcess:
 
     def write_line(self, text: str) -> bool:
         """Write a line to the process's standard input; return False if it has ended."""
-        if self._process.poll() is not None or self._process.stdin is None:
+        if self.has_ended or self._process.stdin is None:
             return False
         try:
             self._process.stdin.write(f"{text}\n".encode())
@@ -267,6 +272,10 @@ class ChildProcess:
         for _ in self.messages():
             pass
         self._output_tail.clear()
+
+    @property
+    def has_ended(self) -> bool:
+        return self._process.poll() is not None
 
     def messages(self) -> Iterator[Message]:
         """Yield the messages received since the last call."""

@@ -60,6 +60,7 @@ def bake(child_process: Any, own_folder: str, idle_s: str, max_bytes: str) -> in
             may_go_on = job_runner.close_file(use_scripts=request["use_scripts"])
             if not may_go_on or child_process.measure_memory() > float(max_bytes):
                 break
+            _send_message("Waiting")
             folder = Path(json.loads(lines.get(timeout=float(idle_s))))
         except queue.Empty:
             break

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -31,7 +32,14 @@ from touch_scene import ridge_plate
 
 from hnf_blender import handlers, jobs
 from hnf_blender.jobs import bake_job, bake_process, manager
-from hnf_blender.jobs.child_job import PROCESS_FOLDER_PREFIX, get_job_root, remove_abandoned_folders
+from hnf_blender.jobs.child_job import (
+    PROCESS_FOLDER_PREFIX,
+    ChildProgram,
+    Failed,
+    Finished,
+    get_job_root,
+    remove_abandoned_folders,
+)
 from hnf_blender.jobs.worker import NOTHING_TAKEN
 from hnf_core import child_process
 from hnf_core.touch_request import TouchQuery
@@ -189,7 +197,7 @@ def test_a_job_given_to_one_just_ending_is_done_by_another(warm_bake, monkeypatc
     until_ended()
     ended, before = manager.take_process(), kept()
     # As if it had been written to just before it looked at its memory.
-    begin = [lambda *_: ended, bake_job.begin_job]
+    begin = [lambda folder, _: (ended.begin(folder), ended)[1], bake_job.begin_job]
     monkeypatch.setattr(bake_job, "begin_job", lambda *arguments: begin.pop(0)(*arguments))
     stroke.hnf_stroke.seed = 2
     job = start()
@@ -210,15 +218,29 @@ def test_one_that_died_while_it_waited_is_replaced(warm_bake) -> None:
     assert len(my_folders(PROCESS_FOLDER_PREFIX)) == 1
 
 
-@pytest.mark.parametrize("stage", ["starting", "Along"])
-def test_one_that_dies_at_its_second_job_is_told_and_replaced(warm_bake, stage) -> None:
+@pytest.mark.skipif(sys.platform == "win32", reason="it stops a process")
+def test_one_that_dies_before_it_begins_is_replaced(warm_bake) -> None:
+    _, stroke = small_scene()
+    assert bake().ok
+    pid, before = waiting(), kept()
+    os.kill(pid, signal.SIGSTOP)  # so that it does not begin
+    stroke.hnf_stroke.seed = 2
+    job = start()
+    assert job.pid == pid
+    kill(pid)
+    assert finish(job).ok
+    assert kept() != before
+    assert waiting() != pid
+
+
+def test_one_that_dies_at_its_second_job_is_told_and_replaced(warm_bake) -> None:
     _, stroke = small_scene()
     assert bake().ok
     pid, before = waiting(), kept()
     stroke.hnf_stroke.seed = 2
     job = start()
     assert job.pid == pid
-    assert reach(stage)
+    assert reach("Along")
     kill(pid)
     ended = finish(job)
     assert "killed (signal 9)" in ended.message
@@ -333,6 +355,45 @@ def test_one_that_waits_ends_with_its_parent(tmp_path, monkeypatch) -> None:
     assert [each.name.split("-")[:3] for each in left] == [["hnf", "process", parent]]
     assert remove_abandoned_folders() == left
     assert not list(get_job_root().glob("hnf-*"))
+
+
+HASTE = """
+import select, sys, time
+sys.stdin.readline()
+print('@hnf Finished {}', flush=True)
+time.sleep(0.5)
+is_early = bool(select.select([0], [], [], 0)[0])
+print('@hnf Waiting {}', flush=True)
+sys.stdin.readline()
+print('@hnf Failed {"why": "%s"}' % is_early, flush=True)
+time.sleep(60)
+"""
+"""A process that takes a while to close its file, and looks whether a line came meanwhile."""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="select knows no pipes there")
+def test_nothing_is_written_before_it_waits(lone_bake, tmp_path, monkeypatch) -> None:
+    """A line would wake a thread of Python's beside Blender's operator."""
+    program = ChildProgram([sys.executable, "-c", HASTE], "a process", "")
+    monkeypatch.setattr(bake_process, "make_blender_program", lambda *_: program)
+    small_scene()
+    prepared = bake_job.prepare_job(bpy.context.scene, bpy.context.view_layer)
+    process = bake_process.BakeProcess(bake_process.find_conditions(prepared.request))
+
+    def next_message():
+        until = time.monotonic() + 30.0
+        while time.monotonic() < until:
+            for message in process.messages():
+                return message
+            time.sleep(0.01)
+        return None
+
+    try:
+        for expected in (Finished(), Failed("False")):
+            assert process.begin(prepared.folder)
+            assert next_message() == expected
+    finally:
+        process.end(prepared.folder)
 
 
 def test_lines_are_whole_however_they_arrive(monkeypatch) -> None:
