@@ -239,6 +239,13 @@ def pick_surface(context: Any, area: Any, region: Any, at: tuple[float, float]) 
     )
 
 
+def get_view_direction(region: Any, at: tuple[float, float]) -> Float:
+    """Return the unit vector (3,) of the ray at a point `at` (x, y) [pixels] of a 3D view's region."""
+    from bpy_extras import view3d_utils
+
+    return np.array(view3d_utils.region_2d_to_vector_3d(region, region.data, at))
+
+
 def explain_untouchable(context: Any, region: Any, at: tuple[float, float]) -> str:
     """Explain why the object at a point `at` (x, y) [pixels] of a region cannot be touched, and the remedy.
 

@@ -27,7 +27,10 @@ TIMING_ITEMS = (
 
 
 class HnfPenSample(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
-    """Sample of the pen as an operator property; Python callers give every field, including `name`."""
+    """Sample of the pen as an operator property; Python callers give every field.
+
+    `name` is the object under the pen; where it is empty, that is the operator's surface.
+    """
 
     location: bpy.props.FloatVectorProperty(name="Location", description="In world coordinates", size=3)
     pressure: bpy.props.FloatProperty(name="Pressure", description="0 to 1; 1 throughout means a mouse", default=1.0)
@@ -39,8 +42,8 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
     bl_idname = "hnf.stroke_draw"
     bl_label = "Draw Touch Stroke"
     bl_description = (
-        "Press on a surface and drag. Pen pressure becomes force in newtons, your hand's timing becomes progress "
-        "keys. Esc or right click cancels"
+        "Press on a surface and drag, over neighboring ones too. Pen pressure becomes force in newtons, your hand's "
+        "timing becomes progress keys. Esc or right click cancels"
     )
     bl_options = {"REGISTER", "UNDO"}  # Blender reads a set
 
@@ -186,9 +189,10 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
             return {"CANCELLED"}
         self.surface = pen.surface
         self.stroke.clear()
-        for sample in pen.samples(context):
+        for sample, name in zip(pen.samples(context), pen.touched, strict=True):
             item = self.stroke.add()
             item.location, item.pressure, item.time, item.touching = sample
+            item.name = name
         try:
             message = self._make_stroke(context)
         except HnfError as error:
@@ -205,6 +209,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
     def _make_stroke(self, context: Any) -> str:
         """Make the stroke object, select it and return a message. Raises HnfError if no stroke can be made."""
         from hnf_core.action.contacts import CONTACT_TOLERANCE_M
+        from hnf_core.action.crossing import choose_touched
         from hnf_core.action.pen_stroke import PenSamples, PenStyle
 
         from ..bridge.stroke.new_stroke import create_drawn_stroke, mask_points_near_surface
@@ -216,14 +221,24 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
             np.array([getattr(sample, name) for sample in self.stroke]) for name in ("time", "pressure", "touching")
         )
         points = np.array([tuple(sample.location) for sample in self.stroke], dtype=np.float64)
-        surface = self._find_surface(context, points[touching], depsgraph, metres)
-        touching[touching] = mask_points_near_surface(points[touching], surface, depsgraph, metres, CONTACT_TOLERANCE_M)
+        names = [sample.name if sample.touching else "" for sample in self.stroke]
+        chosen = [self._get_surface(context, name) for name in choose_touched(names, points)]
+        if len(chosen) > 1:
+            touching &= np.isin(names, [obj.name for obj in chosen])
+        else:
+            surface = chosen[0] if chosen else self._find_surface(context, points[touching], depsgraph, metres)
+            chosen = [surface]
+            touching &= np.isin(names, ["", surface.name])
+        near = [
+            mask_points_near_surface(points[touching], obj, depsgraph, metres, CONTACT_TOLERANCE_M) for obj in chosen
+        ]
+        touching[touching] = np.any(near, axis=0)
         low, high = sorted((float(self.force_min_n), float(self.force_max_n)))
         speed = mm_to_m(float(self.speed_mm_s)) if self.timing == "SPEED" else None
         drawn = create_drawn_stroke(
             scene,
             depsgraph,
-            surface,
+            chosen,
             PenSamples(time.astype(np.float64), points, pressure.astype(np.float64), touching.astype(bool)),
             PenStyle((low, high), float(self.force_n), float(self.smoothing_ms) * 1e-3, speed),
             start_frame=float(scene.frame_current_final),
@@ -240,19 +255,20 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
             + visibility_note
         )
 
+    def _get_surface(self, context: Any, name: str) -> Any:
+        surface = context.scene.objects.get(name)
+        if surface is None or surface.type != "MESH":
+            raise SceneError("there is no such mesh in this scene.", where=f"object '{name}'", remedy="Name another.")
+        if not surface.visible_get(view_layer=context.view_layer):
+            raise SceneError("it is hidden.", where=f"object '{name}'", remedy="Show it, then draw on it.")
+        return surface
+
     def _find_surface(self, context: Any, points: Any, depsgraph: Any, metres: float) -> Any:
         from ..bridge.scene.meshes import read_surface
         from ..bridge.stroke.read_stroke import find_nearest_surface
 
         if self.surface:
-            surface = context.scene.objects.get(self.surface)
-            if surface is None or surface.type != "MESH":
-                raise SceneError(
-                    "there is no such mesh in this scene.", where=f"object '{self.surface}'", remedy="Name another."
-                )
-            if not surface.visible_get(view_layer=context.view_layer):
-                raise SceneError("it is hidden.", where=f"object '{self.surface}'", remedy="Show it, then draw on it.")
-            return surface
+            return self._get_surface(context, self.surface)
         if len(points) == 0:
             raise SceneError("the stroke touches no surface.", remedy="Draw on a visible mesh.")
         return find_nearest_surface(

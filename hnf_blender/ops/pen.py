@@ -1,4 +1,4 @@
-"""Pen that draws a stroke on a surface: events of the window → samples of location, pressure and time, with a line."""
+"""Pen that draws a stroke on surfaces: events of the window → samples of location, pressure and time, with a line."""
 
 from __future__ import annotations
 
@@ -8,12 +8,21 @@ from typing import Any
 
 import numpy as np
 
+from hnf_core.action.crossing import can_step_over
 from hnf_core.action.pen_stroke import REST_S, spread_times_evenly
+from hnf_core.errors import SceneError
 from hnf_core.export.plots.figure import force_to_colour
 from hnf_core.units import m_to_mm
 
 from ..bridge.scene.object_size import filter_rendered, get_metres_per_unit
-from ..bridge.viewport_pick import explain_untouchable, find_region_under_mouse, find_view_under_mouse, pick_surface
+from ..bridge.stroke.animation import is_moving, may_deform
+from ..bridge.viewport_pick import (
+    explain_untouchable,
+    find_region_under_mouse,
+    find_view_under_mouse,
+    get_view_direction,
+    pick_surface,
+)
 from ..state.interface import HALO, WHITE, draw_disc
 from ..translations import tr
 
@@ -53,7 +62,11 @@ class Pen:
         self._local: list[tuple[float, float, float]] = []
         self._pressure: list[float] = []
         self._time: list[float] = []
-        self._touching: list[bool] = []
+        self._touched: list[str] = []
+        self._can_cross: dict[str, bool] = {}
+        self._passed = set[str]()
+        self._from_world = np.eye(4)
+        self._stride = 0.0
         self._pending: list[tuple[float, float, float]] = []
         self._last = (0.0, 0.0, 0.0)
         self._travelled_px = 0.0
@@ -108,8 +121,9 @@ class Pen:
             self.reject_reason = template.format(name=hit.obj.name)
             return False
         self.surface, self.is_down, self._is_pen = str(hit.obj.name), True, bool(event.is_tablet)
+        self._from_world = np.linalg.pinv(np.array(hit.obj.matrix_world, dtype=np.float64))
         self._last = (x, y, self._read_pressure(event))
-        self._add_sample(hit, time.perf_counter(), self._last[2])
+        self._add_sample(hit, self.surface, time.perf_counter(), self._last[2])
         return True
 
     def move(self, context: Any, event: Any) -> None:
@@ -140,11 +154,16 @@ class Pen:
         world = np.array(surface.evaluated_get(context.evaluated_depsgraph_get()).matrix_world)
         points = np.array(self._local) @ world[:3, :3].T + world[:3, 3]
         return [
-            (tuple(point), pressure, seconds - self._time[0], touching)
-            for point, pressure, seconds, touching in zip(
-                points.tolist(), self._pressure, self._time, self._touching, strict=True
+            (tuple(point), pressure, seconds - self._time[0], bool(touched))
+            for point, pressure, seconds, touched in zip(
+                points.tolist(), self._pressure, self._time, self._touched, strict=True
             )
         ]
+
+    @property
+    def touched(self) -> tuple[str, ...]:
+        """Name of the object that is touched at each sample, "" off the surfaces."""
+        return tuple(self._touched)
 
     def _advance(self, context: Any, to: tuple[float, float, float], now: float) -> None:
         start, previous_time = np.array(self._last), self._time[-1]
@@ -155,7 +174,9 @@ class Pen:
         count = min(MAX_STEPS, max(1, int(np.ceil(distance / STEP_PX))))
         for k in range(1, count + 1):
             x, y, pressure = (start + displacement * (k / count)).tolist()
-            self._add_sample(self._cast_ray(context, x, y), previous_time + (now - previous_time) * k / count, pressure)
+            hit = self._cast_ray(context, x, y)
+            name = self._find_touched(context, hit, (x, y))
+            self._add_sample(hit, name, previous_time + (now - previous_time) * k / count, pressure)
         self._travelled_px += distance
         self._last = to
 
@@ -163,20 +184,60 @@ class Pen:
         """Repeat the last sample at time `until`, the end of a rest, since the pen did not move without events."""
         self._local.append(self._local[-1])
         self._pressure.append(self._pressure[-1])
-        self._touching.append(self._touching[-1])
+        self._touched.append(self._touched[-1])
         self._time.append(max(self._time[-1], until))
 
-    def _add_sample(self, hit: Any, now: float, pressure: float) -> None:
-        touching = hit is not None and hit.obj.name == self.surface
-        local = tuple(hit.local.tolist()) if touching else self._local[-1]
-        if touching and self._local and self._touching[-1]:
-            self._length += float(np.linalg.norm(hit.world - self._world))
-        if touching:
-            self._world = hit.world
+    def _find_touched(self, context: Any, hit: Any, at: tuple[float, float]) -> str:
+        """Return the name of the object that the pen touches with a hit at (x, y) of the region, "" for none.
+
+        The pen goes over to another object where that meets the last one, not where it lies far behind its edge.
+        """
+        if hit is None:
+            return ""
+        name = str(hit.obj.name)
+        if name in {self.surface, self._last_touched}:
+            return name
+        if not (self._may_cross(context, self.surface) and self._may_cross(context, name)):
+            return ""
+        view, way = get_view_direction(self._region, at), (hit.world - self._world) * self._metres
+        if name not in self._passed and can_step_over(way, view, self._stride * self._metres):
+            return name
+        self._passed.add(name)  # However far the hand goes on over it, it is no nearer.
+        return ""
+
+    def _may_cross(self, context: Any, name: str) -> bool:
+        """Return whether a stroke across several objects feels this one: rendered, it neither moves nor deforms."""
+        if name not in self._can_cross:
+            obj = context.scene.objects[name]
+            try:
+                is_still = not (is_moving(obj) or may_deform(obj))
+            except SceneError:
+                is_still = False  # simulated
+            self._can_cross[name] = is_still and bool(filter_rendered([obj], context.view_layer))
+        return self._can_cross[name]
+
+    @property
+    def _last_touched(self) -> str:
+        return next((name for name in reversed(self._touched) if name), "")
+
+    def _add_sample(self, hit: Any, name: str, now: float, pressure: float) -> None:
+        local = self._local[-1] if self._local else (0.0, 0.0, 0.0)
+        if name:
+            world = np.array(hit.world)
+            if self._touched and self._touched[-1]:
+                step = float(np.linalg.norm(world - self._world))
+                self._length += step
+                self._stride = step if name == self._touched[-1] else self._stride
+            self._world = world
+            self._passed.clear()
+            if name == self.surface:
+                local = tuple(hit.local.tolist())
+            else:
+                local = tuple((self._from_world[:3, :3] @ world + self._from_world[:3, 3]).tolist())
         self._local.append(local)
         self._time.append(now)
         self._pressure.append(pressure)
-        self._touching.append(touching)
+        self._touched.append(name)
 
     def _read_pressure(self, event: Any) -> float:
         """Return the pressure of an event; some drivers report the pen only after the press, or not at the release."""
@@ -193,10 +254,11 @@ class Pen:
 
     def _update_status(self, context: Any) -> None:
         force = self._force_at(self._pressure[-1], self._is_pen)
-        state = f"{force:.2f} N" if self._touching[-1] else tr("off the surface: silent")
+        state = f"{force:.2f} N" if self._touched[-1] else tr("off the surface: silent")
+        names = ", ".join(dict.fromkeys(filter(None, self._touched)))
         length = f"{m_to_mm(self._length * self._metres):.0f}"
         template = tr("Stroke on {surface}: {length} mm, {state}.  Release: done.  Esc or right click: cancel")
-        context.workspace.status_text_set(template.format(surface=self.surface, length=length, state=state))
+        context.workspace.status_text_set(template.format(surface=names, length=length, state=state))
         self._area.tag_redraw()
 
     def _draw(self) -> None:
@@ -211,7 +273,7 @@ class Pen:
         surface = bpy.data.objects.get(self.surface)
         if surface is None:
             return
-        pairs = [k for k in range(1, len(self._local)) if self._touching[k - 1] and self._touching[k]]
+        pairs = [k for k in range(1, len(self._local)) if self._touched[k - 1] and self._touched[k]]
         ends = [self._local[j] for k in pairs for j in (k - 1, k)]
         colours = [force_to_colour(self._force_at(self._pressure[j], self._is_pen)) for k in pairs for j in (k - 1, k)]
         shader = gpu.shader.from_builtin("POLYLINE_SMOOTH_COLOR")

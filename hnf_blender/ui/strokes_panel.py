@@ -95,6 +95,8 @@ class HNF_PT_stroke(ActiveStrokePanel, bpy.types.Panel):  # type: ignore[misc]
         column = layout.column()
         column.use_property_decorate = False
         column.prop(group, "surface")
+        if group.surface is None:
+            make_labelled_row(column, "").label(text="Each Object Under It")
         column.prop(group, "rides")
         column.prop(group, "probe")
         row = make_labelled_row(column, "Feels")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..scene.camera import Patch
 from .contacts import CONTACT_TOLERANCE_M, Contacts
@@ -26,6 +26,12 @@ LEAST_SEAM_M = 5e-6
 """Difference in height below which a seam is no step [m]; objects that were placed by eye differ by less."""
 PARALLEL = 1e-4
 """Sine of the angle between two surfaces below which they do not meet in a fold."""
+STEP_OVER_M = 2.0 * CONTACT_TOLERANCE_M
+"""Longest way from one object to another that a drawn stroke takes in any direction [m]: on it, contact is kept."""
+STRIDE_FACTOR = 1.5
+"""Way to another object, relative to the last step on the same one, that is still one of its steps."""
+LEAST_SHARE = 0.1
+"""Share of a drawn path below which an object on it counts as grazed by chance, at the end of a drag."""
 SAME_SEAM_M = 1e-3
 """Distance along the path within which two crossings, there and back, are one seam [m]."""
 
@@ -68,6 +74,53 @@ def choose_objects(distances: Float, tolerance_m: float = CONTACT_TOLERANCE_M) -
     nearest, distance = others.argmin(axis=0), others.min(axis=0)
     wins = (distance <= tolerance_m) & ((own > tolerance_m) | (distance + CROSSING_MARGIN_M < own))
     return np.where(wins, nearest + 1, 0).astype(np.int32)
+
+
+def can_step_over(way: ArrayLike, view: ArrayLike, stride_m: float) -> bool:
+    """Return whether a drawn stroke goes over to another object instead of leaving the last one.
+
+    Parameters
+    ----------
+    way : array_like, shape (3,)
+        Way from the last touched point to the first one on the other object [m].
+    view : array_like, shape (3,)
+        Direction of the view there, a unit vector.
+    stride_m : float
+        Last step on one object [m]; in a view along a surface the steps are long.
+
+    Returns
+    -------
+    bool
+        True if the way is a short one, or leads no further into depth than sideways: to a neighbor, but not from the
+        edge of a box to the floor behind it.
+    """
+    way, view = np.asarray(way, dtype=np.float64), np.asarray(view, dtype=np.float64)
+    depth = abs(float(way @ view))
+    sideways = float(np.linalg.norm(way - (way @ view) * view))
+    return float(np.linalg.norm(way)) <= max(STEP_OVER_M, STRIDE_FACTOR * stride_m) or depth <= sideways
+
+
+def choose_touched(names: Sequence[str], points: Float) -> tuple[str, ...]:
+    """Choose the objects that a drawn path touches, the one with the longest part of it first.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Object of each point, "" for none.
+    points : ndarray, shape (n, 3)
+        The path.
+
+    Returns
+    -------
+    tuple of str
+        Without those that have less than `LEAST_SHARE` of its length; all if none of it has any length.
+    """
+    length = dict.fromkeys(filter(None, names), 0.0)
+    for before, name, step in zip(names, names[1:], np.linalg.norm(np.diff(points, axis=0), axis=1), strict=False):
+        if name and before == name:
+            length[name] += float(step)
+    least = LEAST_SHARE * sum(length.values())
+    return tuple(name for name in sorted(length, key=lambda each: -length[each]) if length[name] >= least)
 
 
 def move_contacts(contacts: Contacts, frame: Float) -> Contacts:

@@ -444,3 +444,90 @@ def test_the_shortest_stroke_is_drawn_too():
     depsgraph = bpy.context.evaluated_depsgraph_get()
     assert len(read_stroke(obj, bpy.context.scene, depsgraph, 1.0).samples.time) == 3
     assert len(sample_timeline(obj, bpy.context.scene, 1.0).frames) >= 2
+
+
+def add_tile(name, x, z=0.0, size=0.06):
+    """A square around (x, 0, z)."""
+    tile = add_plane(name, size, z=0.0)
+    tile.location = (x, 0.0, z)
+    bpy.context.view_layer.update()
+    return tile
+
+
+def drag(pen, desk, *places):
+    """Press at the first place and move to the others; return what the operator is given."""
+    assert press(pen, desk, *places[0])
+    for place in places[1:]:
+        pen.move(desk.context, desk.event(*place))
+    points, _, times, touching = zip(*pen.samples(desk.context), strict=True)
+    # At a steady pace: these events have come at once.
+    given = samples(points, 1.0, touching=np.array(touching))
+    assert times == tuple(sorted(times))
+    return [{**each, "name": name} for each, name in zip(given, pen.touched, strict=True)]
+
+
+def test_a_stroke_over_several_objects_feels_each(pen, desk):
+    """From one tile over the seam to the next: no surface of its own, and one step of undo."""
+    left, right = add_tile("Left", -0.03), add_tile("Right", 0.03, z=-1e-4)
+    bpy.ops.ed.undo_push(message="before")
+    obj = draw(drag(pen, desk, (60, 100), (150, 110)), surface=pen.surface, smoothing_ms=0.0)
+    assert obj.hnf_stroke.surface is None
+    assert obj.name == "Stroke across Right, Left"
+    assert obj.parent == right
+    stroke = read(obj)
+    assert {stroke.object_name, *(each.name for each in stroke.crossed)} == {"Left", "Right"}
+    assert stroke.length_m == pytest.approx(0.09, abs=0.003)
+    world = np.array(obj.matrix_world)
+    knots = np.array([point.co for point in obj.data.splines[0].bezier_points]) @ world[:3, :3].T + world[:3, 3]
+    assert knots[0] == pytest.approx([-0.04, 0.0, 0.0], abs=1e-5)
+    assert knots[-1] == pytest.approx([0.05, 0.01, -1e-4], abs=1e-5)
+    assert act(obj)[3].force.min() > 0.9  # The hand never leaves them.
+    bpy.ops.ed.undo_push(message="drawn")
+    bpy.ops.ed.undo()
+    assert sorted(each.name for each in bpy.data.objects) == ["Left", "Right"]
+    bpy.ops.ed.redo()
+    assert bpy.data.objects["Stroke across Right, Left"].hnf_stroke.surface is None
+    del left
+
+
+def test_beyond_the_edge_of_a_box_the_floor_is_not_meant(pen, desk):
+    """A drag goes on over the floor 5 cm below, and never lands on it, however far; another box beside is felt."""
+    add_tile("Floor", 0.0, z=-0.05, size=1.0)
+    add_tile("Box", -0.06, size=0.04)
+    found = drag(pen, desk, (30, 100), (130, 100))
+    assert {each["name"] for each in found} == {"Box", ""}
+    obj = draw(found, surface=pen.surface)
+    assert (obj.name, obj.hnf_stroke.surface.name) == ("Stroke on Box", "Box")
+    assert read(obj).length_m == pytest.approx(0.03, abs=0.003)
+    add_tile("Lid", 0.06, size=0.04)
+    desk.context.scene = bpy.context.scene
+    pen.move(desk.context, desk.event(170, 100))
+    assert set(pen.touched) == {"Box", "Lid", ""}
+
+
+def test_what_the_end_of_a_drag_grazes_is_not_meant(pen, desk):
+    add_tile("Left", -0.03)
+    add_tile("Right", 0.03)
+    obj = draw(drag(pen, desk, (50, 100), (103, 100)), surface=pen.surface)
+    assert obj.hnf_stroke.surface.name == "Left"
+    assert read(obj).length_m == pytest.approx(0.05, abs=0.003)
+
+
+@pytest.mark.parametrize("moves", ["Left", "Right"])
+def test_what_moves_is_not_gone_over_to(pen, desk, moves):
+    add_tile("Left", -0.03)
+    add_tile("Right", 0.03)
+    bpy.data.objects[moves].keyframe_insert("location", frame=1)
+    found = drag(pen, desk, (60, 100), (150, 100))
+    assert {each["name"] for each in found} == {"Left", ""}
+    assert draw(found, surface=pen.surface).hnf_stroke.surface.name == "Left"
+
+
+def test_sheets_that_a_table_hides_keep_the_first_one(pen, desk):
+    """Without a surface the table 0.1 mm below them would be felt (`choose_objects`)."""
+    add_tile("Table", 0.0, z=-1e-4, size=0.5)
+    add_tile("Left", -0.03, size=0.04)
+    add_tile("Right", 0.03, size=0.04)
+    obj = draw(drag(pen, desk, (55, 100), (145, 100)), surface=pen.surface)
+    assert obj.hnf_stroke.surface is not None
+    assert obj.hnf_stroke.surface.name in ("Left", "Right")

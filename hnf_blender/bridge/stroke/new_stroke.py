@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from hnf_core.action.keyframes import Keyframes
 from hnf_core.action.pen_stroke import PenSamples, PenStroke, PenStyle, fit_pen_stroke
-from hnf_core.errors import SceneError
+from hnf_core.errors import HnfError, SceneError
 from hnf_core.units import m_to_mm
 
 from ... import compat
 from ...props.object_cache import CHANGES
 from ..scene.object_size import filter_rendered
+from ..scene.scene_names import get_scene_name
 
 Float = NDArray[np.float64]
 
@@ -155,7 +156,7 @@ class DrawnStroke:
 def create_drawn_stroke(
     scene: Any,
     depsgraph: Any,
-    surface: Any,
+    surfaces: Sequence[Any],
     samples: PenSamples,
     style: PenStyle,
     *,
@@ -165,8 +166,10 @@ def create_drawn_stroke(
 ) -> DrawnStroke:
     """Create a stroke object from pen samples in world coordinates [Blender units].
 
-    The stroke is a child of the surface, in the collection of strokes, named after the surface. It keeps the drawn
-    timing unless `style` sets a speed. Nothing is created if an error is raised.
+    The stroke is a child of the first surface, in the collection of strokes, named after its surfaces. With several
+    its own setting is left empty, so that it touches what lies under it; where that would not be each of them, it
+    touches the first alone. It keeps the drawn timing unless `style` sets a speed. Nothing is created if an error is
+    raised.
 
     Parameters
     ----------
@@ -174,8 +177,8 @@ def create_drawn_stroke(
         Scene to add the stroke to.
     depsgraph : bpy.types.Depsgraph
         Evaluated dependency graph of the scene.
-    surface : bpy.types.Object
-        Object drawn on.
+    surfaces : sequence of bpy.types.Object
+        Objects drawn on, the most touched first.
     samples : PenSamples
         Time, position and pressure of the pen.
     style : PenStyle
@@ -198,30 +201,21 @@ def create_drawn_stroke(
     SceneError
         If the surface cannot be touched.
     """
-    if not filter_rendered([surface], depsgraph.view_layer):
-        raise SceneError(
-            "it is hidden in renders, and what is touched is rendered.",
-            where=f"object '{surface.name}'",
-            remedy="Show it and its collection in renders (camera icons in the Outliner).",
-        )
-    evaluated = surface.evaluated_get(depsgraph)
-    to_world = np.array(evaluated.matrix_world, dtype=np.float64)
-    if abs(np.linalg.det(to_world[:3, :3])) < 1e-30:
-        raise SceneError(
-            "its scale is 0 along an axis.", where=f"object '{surface.name}'", remedy="Give it a thickness."
-        )
-    from_world = np.linalg.inv(to_world)
+    for obj in surfaces:
+        _check_surface(obj, depsgraph)
+    surface = surfaces[0]
     metric_samples = PenSamples(samples.time, samples.point * metres_per_unit, samples.pressure, samples.touching)
     pen_stroke = fit_pen_stroke(
         metric_samples,
         style,
-        project_to_surface=_make_surface_projector(evaluated, to_world, from_world, metres_per_unit),
+        project_to_surface=_make_surface_projector(surfaces, depsgraph, metres_per_unit),
     )
+    from_world = np.linalg.inv(np.array(surface.evaluated_get(depsgraph).matrix_world, dtype=np.float64))
     local = [
         points / metres_per_unit @ from_world[:3, :3].T + from_world[:3, 3]
         for points in (pen_stroke.path.knot, pen_stroke.path.left, pen_stroke.path.right)
     ]
-    stroke = create_bezier_object(f"Stroke on {surface.name}", *local)
+    stroke = create_bezier_object(_name_stroke(surfaces), *local)
     attach_to_surface(stroke, surface, scene)
     group = stroke.hnf_stroke
     group.start, group.probe = start_frame, probe
@@ -232,24 +226,72 @@ def create_drawn_stroke(
         group.law = "PROGRESS"
         insert_keys(stroke, "progress", pen_stroke.progress, start_frame, per_second)
     insert_keys(stroke, "force", pen_stroke.force, start_frame, per_second)
+    if len(surfaces) > 1:
+        _let_cross(stroke, surfaces, scene, depsgraph, metres_per_unit)
     return DrawnStroke(stroke, pen_stroke)
 
 
-def _make_surface_projector(
-    evaluated: Any, to_world: Float, from_world: Float, metres: float
-) -> Callable[[Float], Float]:
-    """Return a function that projects world points (n, 3) [m] to the nearest points of the evaluated object.
+def _check_surface(surface: Any, depsgraph: Any) -> None:
+    """Raise SceneError if an object is hidden in renders or scaled to nothing."""
+    if not filter_rendered([surface], depsgraph.view_layer):
+        raise SceneError(
+            "it is hidden in renders, and what is touched is rendered.",
+            where=f"object '{surface.name}'",
+            remedy="Show it and its collection in renders (camera icons in the Outliner).",
+        )
+    to_world = np.array(surface.evaluated_get(depsgraph).matrix_world, dtype=np.float64)
+    if abs(np.linalg.det(to_world[:3, :3])) < 1e-30:
+        raise SceneError(
+            "its scale is 0 along an axis.", where=f"object '{surface.name}'", remedy="Give it a thickness."
+        )
 
-    `to_world` and `from_world` (4, 4) convert from and to object space, `metres` is the length of a Blender unit [m].
+
+def _name_stroke(surfaces: Sequence[Any]) -> str:
+    if len(surfaces) == 1:
+        return f"Stroke on {surfaces[0].name}"
+    return f"Stroke across {', '.join(obj.name for obj in surfaces)}"
+
+
+def _let_cross(stroke: Any, surfaces: Sequence[Any], scene: Any, depsgraph: Any, metres_per_unit: float) -> None:
+    """Empty a stroke's surface if it then touches each of several surfaces; else let it touch the first alone.
+
+    Sheets that lie thinly on a table cannot be told from it without a surface (`choose_objects`).
     """
+    from .read_stroke import read_stroke
 
-    def project(points: Float) -> Float:
+    group = stroke.hnf_stroke
+    group.surface = None
+    depsgraph.view_layer.update()
+    try:
+        read = read_stroke(stroke, scene, depsgraph, metres_per_unit)
+        touched = {read.object_name, *(each.name for each in read.crossed)}
+    except HnfError:
+        touched = set()
+    if not touched >= {get_scene_name(scene, obj) for obj in surfaces}:
+        group.surface, stroke.name = surfaces[0], _name_stroke(surfaces[:1])
+
+
+def _make_surface_projector(surfaces: Sequence[Any], depsgraph: Any, metres: float) -> Callable[[Float], Float]:
+    """Return a function that projects world points (n, 3) [m] to the nearest points of the evaluated objects.
+
+    `metres` is the length of a Blender unit [m].
+    """
+    evaluated = [obj.evaluated_get(depsgraph) for obj in surfaces]
+    frames = [np.array(obj.matrix_world, dtype=np.float64) for obj in evaluated]
+
+    def project_to(obj: Any, to_world: Float, points: Float) -> Float:
+        from_world = np.linalg.inv(to_world)
         local = points / metres @ from_world[:3, :3].T + from_world[:3, 3]
         nearest = np.empty_like(local)
         for k, point in enumerate(local):
-            hit, location, _, _ = evaluated.closest_point_on_mesh(point)
+            hit, location, _, _ = obj.closest_point_on_mesh(point)
             nearest[k] = location if hit else point
         return np.asarray((nearest @ to_world[:3, :3].T + to_world[:3, 3]) * metres)
+
+    def project(points: Float) -> Float:
+        found = np.stack([project_to(obj, frame, points) for obj, frame in zip(evaluated, frames, strict=True)])
+        nearest = np.linalg.norm(found - points, axis=2).argmin(axis=0)
+        return np.asarray(found[nearest, np.arange(len(points))])
 
     return project
 
@@ -258,9 +300,6 @@ def mask_points_near_surface(
     points: Float, surface: Any, depsgraph: Any, metres_per_unit: float, within_m: float
 ) -> Any:
     """Return a mask (n,) of the world points (n, 3) [Blender units] that are at most `within_m` [m] from a surface."""
-    evaluated = surface.evaluated_get(depsgraph)
-    to_world = np.array(evaluated.matrix_world, dtype=np.float64)
-    from_world = np.linalg.inv(to_world)
-    project = _make_surface_projector(evaluated, to_world, from_world, metres_per_unit)
+    project = _make_surface_projector([surface], depsgraph, metres_per_unit)
     metres = points * metres_per_unit
     return np.linalg.norm(project(metres) - metres, axis=1) <= within_m

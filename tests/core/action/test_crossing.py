@@ -13,8 +13,12 @@ from test_contacts import RATE, grid_mesh, stroke
 from hnf_core.action.contacts import CONTACT_TOLERANCE_M, action_from_contacts, find_contacts, plan_patches
 from hnf_core.action.crossing import (
     CROSSING_MARGIN_M,
+    LEAST_SHARE,
+    STEP_OVER_M,
     Seam,
+    can_step_over,
     choose_objects,
+    choose_touched,
     find_seams,
     join_contacts,
     move_contacts,
@@ -25,6 +29,29 @@ from hnf_core.field.height_profile import add_seams, compute_profile_power
 from hnf_core.field.stroke import HeightProfile
 
 LENGTHS = st.floats(0.0, 0.02, allow_nan=False)
+
+
+def test_the_pen_steps_to_a_neighbor_and_not_into_depth() -> None:
+    down = (0.0, 0.0, -1.0)
+    assert can_step_over((0.0005, 0.0, -0.9 * STEP_OVER_M), down, 0.001)  # from a book to the table
+    assert not can_step_over((0.0005, 0.0, -0.1), down, 0.001)  # from a box to the floor
+    assert can_step_over((0.05, 0.0, -0.02), down, 0.001)  # over a gap to the next
+    assert not can_step_over((0.05, 0.0, -0.3), down, 0.001)
+    flat = (0.9950, 0.0, -0.0998)  # along a table that is seen from its edge, each step is long
+    assert can_step_over((0.02, 0.0, 0.0), flat, 0.018)
+    assert not can_step_over((0.02, 0.0, 0.0), flat, 0.005)
+
+
+@given(st.floats(0.0, 1.0, exclude_max=True))
+def test_what_is_grazed_is_left_out_and_the_longest_is_first(share) -> None:
+    """A path of 0.1 m: the first object up to `share` of it, a gap in the air, then the second."""
+    place = 0.1 * np.array([0.0, share, share, 1.0])
+    points = np.stack([place, 0.0 * place, 0.0 * place], axis=1)
+    chosen = choose_touched(["A", "A", "B", "B"], points)
+    assert chosen[0] == ("A" if share >= 0.5 else "B")
+    assert ("A" in chosen) == (share >= LEAST_SHARE * (1.0 - 1e-9)) or share == pytest.approx(LEAST_SHARE)
+    assert choose_touched(["A", "", "B"], np.zeros((3, 3))) == ("A", "B")
+    assert choose_touched(["", ""], np.zeros((2, 3))) == ()
 
 
 @settings(deadline=None)

@@ -68,6 +68,20 @@ def draw(walk: Walk) -> None:
     bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=samples, surface=surface.name)
 
 
+def draw_across(walk: Walk) -> None:
+    """Draw a stroke from one surface to another, as the pen does."""
+    if len(walk.strokes()) >= MOST_STROKES:
+        raise RefusedError("enough strokes")
+    first, second = walk.choose(walk.surfaces()), walk.choose(walk.surfaces())
+    samples = []
+    for number, surface in enumerate((first, second)):
+        for k in range(6):
+            point = surface.matrix_world @ Vector((0.004 * k - 0.01, 0.01 * number, 0.0))
+            samples.append({"name": surface.name, "location": tuple(point), "pressure": 0.5,
+                            "time": 0.02 * len(samples), "touching": True})  # fmt: skip
+    bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=samples, surface=first.name)
+
+
 def add_ready_stroke(walk: Walk) -> None:
     """Lay a ready stroke on a surface."""
     if len(walk.strokes()) >= MOST_STROKES:
@@ -342,7 +356,7 @@ def play_timeline(walk: Walk) -> None:
 UNDONE: set[Callable[[Walk], None]] = {undo, redo, save, reload, play, play_timeline, compare, export}
 """Steps after which no undo step is made."""
 STEPS: dict[Callable[[Walk], None], float] = {
-    add_surface: 1, draw: 5, add_ready_stroke: 3, bake: 5, undo: 12, redo: 6, turn_everything: 3, turn_surface: 2,
+    add_surface: 1, draw: 4, draw_across: 1, add_ready_stroke: 3, bake: 5, undo: 12, redo: 6, turn_everything: 3, turn_surface: 2,
     rename: 4, hide: 4, show_all: 3, duplicate: 4, delete: 3, delete_orphans: 1, append: 1.5, link: 0.5, save: 1.5,
     reload: 1.5, switch_scene: 2, delete_scene: 0.5, switch_mode: 2, leave_mode: 2, key_force: 5, change_stroke: 5,
     move_point: 2, dent: 1, choose_material: 2, change_units: 0.5, add_strip: 2, add_speaker: 2, change_source: 3,

@@ -258,7 +258,7 @@ def measure_authoring(options: BenchOptions) -> list[Row]:
         for repeat in range(options.repeats):
             options.watch(f"{AUTHORING_NAME}: {repeat + 1} of {options.repeats}")
             depsgraph = layer.depsgraph
-            draw = partial(create_drawn_stroke, scene, depsgraph, plate, samples, PenStyle())
+            draw = partial(create_drawn_stroke, scene, depsgraph, [plate], samples, PenStyle())
             stroke = draw_times.measure(partial(draw, start_frame=1.0, probe="pen", metres_per_unit=1.0))
             knots = len(stroke.pen_stroke.path.knot)
             place_times.measure(partial(place_primitive, scene, plate, None, PRIMITIVE, 1.0, depsgraph))
