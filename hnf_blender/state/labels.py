@@ -226,10 +226,14 @@ def shorten_text(text: str, max_characters: int) -> str:
 def put_surface_first(stroke: str, surface: str) -> str:
     """Return a stroke's name for the list, its surface first: "Left right on Cushion" → "Cushion: Left right".
 
-    A name that does not mention the surface stays as it is.
+    All surfaces of a stroke across several: "Stroke across Cup, Table" → "Cup, Table: Stroke". A name that does not
+    mention the surface stays as it is.
     """
     before, found, after = stroke.partition(f" on {surface}")
-    return f"{surface}: {before}{after}" if surface and found and before else stroke
+    if surface and found and before:
+        return f"{surface}: {before}{after}"
+    before, _, after = stroke.partition(" across ")
+    return f"{after}: {before}" if surface and before and surface in after.split(", ") else stroke
 
 
 def wrap_text(text: str, max_characters: int) -> Sequence[str]:

@@ -63,6 +63,21 @@ def make_button_row(layout: Any, context: Any) -> Any:
     return layout.column(align=True) if count_line_characters(context) < NARROW_CHARACTERS else layout.row(align=True)
 
 
+ICON_CHARACTERS, BUTTON_CHARACTERS = 4, 2
+"""Width of an icon with its gap, and of a button's borders, in characters."""
+
+
+def draw_warning(layout: Any, text: str, button: str) -> Any:
+    """Draw a warning, and return the rest of the line for the button that mends it.
+
+    Each gets the room that its translated words need: Blender halves a line, and cuts the longer of them.
+    """
+    needed = len(text) + ICON_CHARACTERS
+    split = layout.split(factor=needed / (needed + len(button) + BUTTON_CHARACTERS), align=True)
+    split.label(text=text, icon="ERROR", translate=False)
+    return split
+
+
 def draw_hint(layout: Any, context: Any, text: str) -> None:
     """Draw a hint in a panel that has nothing to show yet."""
     draw_paragraph(layout.box(), context, text, icon="INFO")

@@ -20,6 +20,7 @@ from .layout import (
     draw_height_choices,
     draw_hint,
     draw_paragraph,
+    draw_warning,
     make_button_row,
     shorten_name,
 )
@@ -62,7 +63,7 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy 
         facts, image = get_preview_facts(stroke), get_preview_icon(stroke)
         if stroke is None:
             if not context.scene.hnf.metres_per_unit and TOUCHABLE_SURFACES.list_objects(context.scene):
-                draw_missing_scale(layout.row(align=True))  # A reconstruction was just imported.
+                draw_missing_scale(layout)  # A reconstruction was just imported.
             return
         draw_remark(layout, context, stroke)
         if image:
@@ -117,39 +118,38 @@ def draw_remark(layout: Any, context: Any, stroke: Any) -> None:
     All of them are in the details. The line is always there, so that nothing moves when a warning comes.
     """
     facts, status = get_preview_facts(stroke), STATE.get_status(context.scene, stroke)
-    row = layout.row(align=True)
     doubted = next(filter(None, map(bpy.data.materials.get, () if status is None else status.doubted_shaders)), None)
     outcome = filter_by_scene(context.scene, STATE.last_job)
     if PREVIEW.sound_problem:
-        row.label(text="No Sound", icon="ERROR")
+        row = draw_warning(layout, tr("No Sound"), tr("Choose Device…"))
         row.operator("screen.userpref_show", text="Choose Device…").section = "SYSTEM"
     elif ACTUATOR.facts.problem:
         is_speaker = get_selected_output(context) == SPEAKERS  # It is of a live touch then.
-        row.label(text="No Sound" if is_speaker else "Actuator Does Not Play", icon="ERROR")
+        layout.label(text="No Sound" if is_speaker else "Actuator Does Not Play", icon="ERROR")
     elif outcome is not None and not outcome.ok:
-        row.label(text="Bake Has Problems", icon="ERROR")
+        layout.label(text="Bake Has Problems", icon="ERROR")
     elif count_orphans(context.scene) and stroke in list_orphans(context.scene):
-        row.label(text="Surface Was Deleted", icon="ERROR")
+        row = draw_warning(layout, tr("Surface Was Deleted"), tr("Delete Strokes…"))
         row.operator("hnf.strokes_delete_orphans", text="Delete Strokes…")
     elif doubted is not None:
-        row.label(text="Height Not Believed", icon="ERROR")
+        row = draw_warning(layout, tr("Height Not Believed"), tr("As Authored"))
         row.prop(doubted.hnf_touch, "height_as_authored", text="As Authored", toggle=True)
     elif status is not None and any(SCALE_HINT in warning for warning in status.warnings):
-        draw_missing_scale(row)
+        draw_missing_scale(layout)
     elif facts is not None and is_implausible(stroke, facts):
-        row.label(text="Too Fast for a Hand", icon="ERROR")
+        row = draw_warning(layout, tr("Too Fast for a Hand"), tr("Make Constant"))
         row.operator("hnf.stroke_constant", text="Make Constant")
     elif status is not None and GUESS_CONFIDENCE > status.confidence > 0.0 and not stroke.hnf_stroke.material:
-        row.label(text="Material Is a Guess", icon="ERROR")
+        row = draw_warning(layout, tr("Material Is a Guess"), tr("Choose…"))
         row.operator("hnf.stroke_material", text="Choose…")
     elif facts is not None and facts.lines:
-        row.label(text=facts.lines[0], icon="INFO", translate=False)
+        layout.label(text=facts.lines[0], icon="INFO", translate=False)
     else:
-        row.label(text="Bake to See and Hear It", icon="INFO")
+        layout.label(text="Bake to See and Hear It", icon="INFO")
 
 
-def draw_missing_scale(row: Any) -> None:
-    row.label(text="No Real Size", icon="ERROR")
+def draw_missing_scale(layout: Any) -> None:
+    row = draw_warning(layout, tr("No Real Size"), tr("Set Real Length"))
     row.operator("hnf.set_real_length", text="Set Real Length")
 
 

@@ -101,7 +101,7 @@ def can_step_over(way: ArrayLike, view: ArrayLike, stride_m: float) -> bool:
 
 
 def choose_touched(names: Sequence[str], points: Float) -> tuple[str, ...]:
-    """Choose the objects that a drawn path touches, the one with the longest part of it first.
+    """Choose the objects that a drawn path touches, in the order touched.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def choose_touched(names: Sequence[str], points: Float) -> tuple[str, ...]:
         if name and before == name:
             length[name] += float(step)
     least = LEAST_SHARE * sum(length.values())
-    return tuple(name for name in sorted(length, key=lambda each: -length[each]) if length[name] >= least)
+    return tuple(name for name, part in length.items() if part >= least)
 
 
 def move_contacts(contacts: Contacts, frame: Float) -> Contacts:

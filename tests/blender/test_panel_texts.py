@@ -110,7 +110,8 @@ def test_strokes_that_were_baked_alike_are_told_together() -> None:
 @pytest.mark.parametrize(
     ("stroke", "surface", "said"),
     [("Rub on Lid", "Lid", "Lid: Rub"), ("Rub on Lid.001", "Lid", "Lid: Rub.001"), ("Rub", "Lid", "Rub"),
-     ("Rub on Lid", "", "Rub on Lid"), (" on Lid", "Lid", " on Lid")],
+     ("Rub on Lid", "", "Rub on Lid"), (" on Lid", "Lid", " on Lid"), ("Rub across Cup, Lid", "Lid", "Cup, Lid: Rub"),
+     ("Rub across Cup, Lid", "", "Rub across Cup, Lid"), ("Rub across on Lid", "Lid", "Lid: Rub across")],
 )  # fmt: skip
 def test_a_listed_stroke_begins_with_its_surface(stroke: str, surface: str, said: str) -> None:
     assert labels.put_surface_first(stroke, surface) == said

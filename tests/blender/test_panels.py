@@ -234,6 +234,33 @@ def test_one_warning_at_most_with_what_mends_it(kind: str) -> None:
     PREVIEW.sound_problem = ""
 
 
+LINE_PX, LETTER_PX = 236.0, 5.9
+"""Width of a line in a sidebar as wide as Blender makes it, and of a letter [px], measured on a picture of it."""
+
+
+@pytest.mark.parametrize("kind", ["sound", "height", "scale", "guess", "surface"])
+def test_neither_the_warning_nor_its_remedy_is_cut(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the sidebar of its usual width, where half of a line has no room for *Material Is a Guess*."""
+    bpy.data.materials.new("Oak")
+    stroke = add_stroke("Rub", add_plane())
+    warn(kind, stroke)
+    call, shares = Recorder._call, []
+
+    def note(self: Recorder, name: str, values: tuple[object, ...], named: dict[str, object]) -> object:
+        if name == "split":
+            shares.append((named["factor"], len(self.texts)))
+        return call(self, name, values, named)
+
+    monkeypatch.setattr(Recorder, "_call", note)
+    shown = Recorder()
+    panel("HNF_PT_preview").draw(SimpleNamespace(layout=shown, bl_rna=panel("HNF_PT_preview").bl_rna), context_of())
+    ((share, first),) = shares
+    (warning, _), (remedy, _) = shown.texts[first : first + 2]
+    assert 20.0 + LETTER_PX * len(warning) <= share * LINE_PX
+    assert 8.0 + LETTER_PX * len(remedy) <= (1.0 - share) * LINE_PX
+    PREVIEW.sound_problem = ""
+
+
 def test_nothing_moves_when_a_message_comes() -> None:
     bpy.data.materials.new("Oak")
     stroke = add_stroke("Rub", add_plane())

@@ -14,7 +14,10 @@ LOOKED_UP = {"tr": 0, "fail_poll": 1}
 """Functions whose text is translated, and which argument it is."""
 LAYOUT_CALLS = {"label", "operator", "prop", "menu", "popover", "operator_menu_enum", "progress"}
 """Functions of a layout that show a text."""
-LABEL_MAKERS = {"describe_state", "describe_material", "format_counts", "find_first_step", "list_outputs"}
+LABEL_MAKERS = {
+    *("describe_state", "describe_material", "format_counts", "find_first_step", "list_outputs"),
+    *("draw_remark", "draw_missing_scale"),
+}
 """Functions whose translated texts are all labels, which another function draws."""
 
 

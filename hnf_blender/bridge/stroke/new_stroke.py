@@ -178,7 +178,7 @@ def create_drawn_stroke(
     depsgraph : bpy.types.Depsgraph
         Evaluated dependency graph of the scene.
     surfaces : sequence of bpy.types.Object
-        Objects drawn on, the most touched first.
+        Objects drawn on, in the order touched.
     samples : PenSamples
         Time, position and pressure of the pen.
     style : PenStyle
