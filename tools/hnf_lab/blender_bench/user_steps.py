@@ -357,9 +357,9 @@ UNDONE: set[Callable[[Walk], None]] = {undo, redo, save, reload, play, play_time
 """Steps after which no undo step is made."""
 STEPS: dict[Callable[[Walk], None], float] = {
     add_surface: 1, draw: 4, draw_across: 1, add_ready_stroke: 3, bake: 5, undo: 12, redo: 6, turn_everything: 3,
-    turn_surface: 2, rename: 4, hide: 4, show_all: 3, duplicate: 4, delete: 3, delete_orphans: 1, append: 1.5, link: 0.5, save: 1.5,
-    reload: 1.5, switch_scene: 2, delete_scene: 0.5, switch_mode: 2, leave_mode: 2, key_force: 5, change_stroke: 5,
-    move_point: 2, dent: 1, choose_material: 2, change_units: 0.5, add_strip: 2, add_speaker: 2, change_source: 3,
-    export: 1, compare: 2, play: 2, play_timeline: 2,
+    turn_surface: 2, rename: 4, hide: 4, show_all: 3, duplicate: 4, delete: 3, delete_orphans: 1, append: 1.5,
+    link: 0.5, save: 1.5, reload: 1.5, switch_scene: 2, delete_scene: 0.5, switch_mode: 2, leave_mode: 2, key_force: 5,
+    change_stroke: 5, move_point: 2, dent: 1, choose_material: 2, change_units: 0.5, add_strip: 2, add_speaker: 2,
+    change_source: 3, export: 1, compare: 2, play: 2, play_timeline: 2,
 }  # fmt: skip
 """Steps and how often each is taken, relatively."""
