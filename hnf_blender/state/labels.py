@@ -111,7 +111,7 @@ def format_job(job: JobStatus) -> str:
     """
     stage, strokes = job.stage, job.total - 1
     if strokes < 1:
-        return stage
+        return stage[:1].upper() + stage[1:]
     return f"{stage}: {tr('{done} of {total}').format(done=min(job.done + 1, strokes), total=strokes)}"
 
 

@@ -44,7 +44,7 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy 
         if not shows_first_step_tools(context):
             row = make_button_row(layout, context)
             row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
-            row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
+            row.menu("HNF_MT_stroke_add", text="Ready Strokes")  # An icon would cut it in a usual sidebar.
             row.operator("hnf.live_touch", text="", icon="BRUSH_DATA")
         if not strokes:
             draw_hint(

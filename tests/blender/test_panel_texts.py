@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hnf_blender.state import labels
+from hnf_blender.state.session_state import JobStatus
 from hnf_blender.touch.report import Freshness, StrokeStatus
 from hnf_blender.ui.materials_panel import group_equal_bakes
 
@@ -115,3 +116,11 @@ def test_strokes_that_were_baked_alike_are_told_together() -> None:
 )  # fmt: skip
 def test_a_listed_stroke_begins_with_its_surface(stroke: str, surface: str, said: str) -> None:
     assert labels.put_surface_first(stroke, surface) == said
+
+
+@pytest.mark.parametrize(
+    ("stage", "total", "said"),
+    [("starting", 1, "Starting"), ("rub, close-ups", 4, "rub, close-ups: 2 of 3")],
+)
+def test_a_job_begins_with_a_capital_or_with_a_name(stage: str, total: int, said: str) -> None:
+    assert labels.format_job(JobStatus(stage, 1, total, 0.0, None)) == said

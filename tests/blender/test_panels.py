@@ -261,6 +261,25 @@ def test_neither_the_warning_nor_its_remedy_is_cut(kind: str, monkeypatch: pytes
     PREVIEW.sound_problem = ""
 
 
+def test_the_buttons_of_the_strokes_are_not_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two share the line beside the small one of the live touch; an icon and the arrow of a menu need room too."""
+    add_stroke("Rub", add_plane())
+    call, needed = Recorder._call, {}
+
+    def note(self: Recorder, name: str, values: tuple[object, ...], named: dict[str, object]) -> object:
+        if name in ("operator", "menu") and named.get("text", "Stroke Tool"):
+            text = str(named.get("text", "Stroke Tool"))
+            needed[text] = LETTER_PX * len(text) + 24.0 * ("icon" in named) + 20.0 * (name == "menu")
+        return call(self, name, values, named)
+
+    monkeypatch.setattr(Recorder, "_call", note)
+    panel("HNF_PT_strokes").draw(
+        SimpleNamespace(layout=Recorder(), bl_rna=panel("HNF_PT_strokes").bl_rna), context_of()
+    )
+    assert set(needed) == {"Stroke Tool", "Ready Strokes"}
+    assert max(needed.values()) <= (LINE_PX - 24.0) / 2.0
+
+
 def test_nothing_moves_when_a_message_comes() -> None:
     bpy.data.materials.new("Oak")
     stroke = add_stroke("Rub", add_plane())
