@@ -126,10 +126,10 @@ class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]
 def draw_popovers(layout: Any, context: Any, obj: Any) -> None:
     """Draw the buttons that open what is seldom needed."""
     row = make_button_row(layout, context)
-    row.popover("HNF_PT_probe", text="One Place", icon="EYEDROPPER")
+    row.popover("HNF_PT_probe", text="One Place")  # Icons would cut them in a usual sidebar.
     if obj is not None and list_bakes(context.scene, obj):
-        row.popover("HNF_PT_as_baked", text="As Baked", icon="CURVE_DATA")
-    row.popover("HNF_PT_scale", text="Units", icon="DRIVER_DISTANCE")
+        row.popover("HNF_PT_as_baked", text="As Baked")
+    row.popover("HNF_PT_scale", text="Units")
     draw_learn(layout)
 
 

@@ -115,7 +115,7 @@ def needs_bake(scene: Any, stroke: Any, strokes: list[Any]) -> bool:
 def draw_remark(layout: Any, context: Any, stroke: Any) -> None:
     """Draw one line: the most urgent warning, with what mends it, or the signal's level.
 
-    All of them are in the details. The line is always there, so that nothing moves when a warning comes.
+    All of them are in the details, which are beside a warning that nothing else mends. The line is always there, so that nothing moves when a warning comes.
     """
     facts, status = get_preview_facts(stroke), STATE.get_status(context.scene, stroke)
     doubted = next(filter(None, map(bpy.data.materials.get, () if status is None else status.doubted_shaders)), None)
@@ -125,9 +125,9 @@ def draw_remark(layout: Any, context: Any, stroke: Any) -> None:
         row.operator("screen.userpref_show", text="Choose Device…").section = "SYSTEM"
     elif ACTUATOR.facts.problem:
         is_speaker = get_selected_output(context) == SPEAKERS  # It is of a live touch then.
-        layout.label(text="No Sound" if is_speaker else "Actuator Does Not Play", icon="ERROR")
+        draw_explained(layout, tr("No Sound") if is_speaker else tr("Actuator Does Not Play"))
     elif outcome is not None and not outcome.ok:
-        layout.label(text="Bake Has Problems", icon="ERROR")
+        draw_explained(layout, tr("Bake Has Problems"))
     elif count_orphans(context.scene) and stroke in list_orphans(context.scene):
         row = draw_warning(layout, tr("Surface Was Deleted"), tr("Delete Strokes…"))
         row.operator("hnf.strokes_delete_orphans", text="Delete Strokes…")
@@ -146,6 +146,12 @@ def draw_remark(layout: Any, context: Any, stroke: Any) -> None:
         layout.label(text=facts.lines[0], icon="INFO", translate=False)
     else:
         layout.label(text="Bake to See and Hear It", icon="INFO")
+
+
+def draw_explained(layout: Any, text: str) -> None:
+    """Draw a warning that no button mends, with the details beside it."""
+    row = draw_warning(layout, text, tr("Details") + " ▾")
+    row.popover("HNF_PT_details", text="Details")
 
 
 def draw_missing_scale(layout: Any) -> None:

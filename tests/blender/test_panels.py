@@ -229,6 +229,7 @@ def test_one_warning_at_most_with_what_mends_it(kind: str) -> None:
     finish_guide()
     mends, shown = warn(kind, stroke), tab()
     assert mends in ("", *shown.operators, *shown.props)
+    assert ("Details" in shown.words.splitlines()) is (kind == "bake")  # what nothing mends is explained beside it
     assert shown.icons.count("ERROR") == (kind != "")
     assert sum("." in text for text, _ in shown.texts) <= (kind == "")  # no sentence; 1.2 s is none
     PREVIEW.sound_problem = ""
@@ -238,7 +239,7 @@ LINE_PX, LETTER_PX = 236.0, 5.9
 """Width of a line in a sidebar as wide as Blender makes it, and of a letter [px], measured on a picture of it."""
 
 
-@pytest.mark.parametrize("kind", ["sound", "height", "scale", "guess", "surface"])
+@pytest.mark.parametrize("kind", ["sound", "height", "scale", "guess", "surface", "bake"])
 def test_neither_the_warning_nor_its_remedy_is_cut(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the sidebar of its usual width, where half of a line has no room for *Material Is a Guess*."""
     bpy.data.materials.new("Oak")
@@ -261,23 +262,26 @@ def test_neither_the_warning_nor_its_remedy_is_cut(kind: str, monkeypatch: pytes
     PREVIEW.sound_problem = ""
 
 
-def test_the_buttons_of_the_strokes_are_not_cut(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two share the line beside the small one of the live touch; an icon and the arrow of a menu need room too."""
-    add_stroke("Rub", add_plane())
+@pytest.mark.parametrize(
+    ("name", "line_px", "shown"),
+    [("HNF_PT_strokes", LINE_PX - 24.0, ("Stroke Tool", "Ready Strokes")),
+     ("HNF_PT_materials", LINE_PX, ("One Place", "As Baked", "Units"))],
+)  # fmt: skip
+def test_what_shares_a_line_is_not_cut(
+    name: str, line_px: float, shown: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the sidebar of its usual width; an icon and the arrow of a menu need room too."""
+    fill()
     call, needed = Recorder._call, {}
 
-    def note(self: Recorder, name: str, values: tuple[object, ...], named: dict[str, object]) -> object:
-        if name in ("operator", "menu") and named.get("text", "Stroke Tool"):
-            text = str(named.get("text", "Stroke Tool"))
-            needed[text] = LETTER_PX * len(text) + 24.0 * ("icon" in named) + 20.0 * (name == "menu")
-        return call(self, name, values, named)
+    def note(self: Recorder, kind: str, values: tuple[object, ...], named: dict[str, object]) -> object:
+        text = str(named.get("text", "Stroke Tool" if values == ("hnf.stroke_tool",) else ""))
+        needed[text] = LETTER_PX * len(text) + 24.0 * ("icon" in named) + 20.0 * (kind in ("menu", "popover"))
+        return call(self, kind, values, named)
 
     monkeypatch.setattr(Recorder, "_call", note)
-    panel("HNF_PT_strokes").draw(
-        SimpleNamespace(layout=Recorder(), bl_rna=panel("HNF_PT_strokes").bl_rna), context_of()
-    )
-    assert set(needed) == {"Stroke Tool", "Ready Strokes"}
-    assert max(needed.values()) <= (LINE_PX - 24.0) / 2.0
+    panel(name).draw(SimpleNamespace(layout=Recorder(), bl_rna=panel(name).bl_rna), context_of())
+    assert max(needed[text] for text in shown) <= line_px / len(shown)
 
 
 def test_nothing_moves_when_a_message_comes() -> None:

@@ -4,10 +4,13 @@ import time
 from pathlib import Path
 
 import bpy
+from drive import buttons, tab
 from drive.addon import force_keys, freshness, heard, ours, state, strokes
 
 SCREEN = "1360x1600"  # the sidebar down to the preview's buttons
 SIDEBAR_PX = 330
+RULER_PX = 26
+"""Height of the frame numbers at the top of a Graph Editor."""
 FOLDER = Path("/share/tutorial")
 
 
@@ -41,16 +44,17 @@ def check_a_thing_for_a_hand(stage):
 
 
 def check_what_it_feels_like_is_chosen(stage):
-    at = stage.middle()
-    yield from stage.move(at)
-    with stage.over():
-        bpy.ops.hnf.material_choose("INVOKE_DEFAULT", material="Material")
-    yield 0.6
-    for key in "CORD":
-        yield from stage.key(key, at)
-    yield from stage.picture("choose")
-    yield from stage.key("RET", at)
-    yield 0.4
+    with tab.all_open("HNF_PT_materials"):
+        yield from stage.drawn()
+        at = yield from buttons.find(stage, "bpy.ops.hnf.material_choose(", across=0.5)
+        yield from stage.click(at)
+        yield 0.6
+        for key in "CORD":
+            yield from stage.key(key, at)
+        yield from stage.picture("choose")
+        yield from stage.key("RET", at)
+        yield 0.4
+    yield from stage.drawn()
     chosen = bpy.data.materials["Material"].hnf_touch.library
     stage.require("corduroy is chosen", chosen == "corduroy", chosen)
     yield from stage.picture("chosen")
@@ -135,8 +139,8 @@ def check_it_is_pressed_harder(stage):
     stage.expect("the last key is two newtons up", abs(after[-1][1] - keys[-1][1] - 2.0) < 1e-3, (keys, after))
     stage.expect("the first is where it was", after[0] == keys[0], (keys, after))
     yield from stage.until("nothing is to bake", lambda: freshness(stroke().name) == "force", 5.0)
-    with stage.over("GRAPH_EDITOR"):
-        bpy.ops.graph.view_all()
+    moved = region.view2d.view_to_region(*after[-1], clip=False)
+    stage.expect("the key is still in view, below the ruler", 0 < moved[1] < region.height - RULER_PX, moved)
     yield from stage.picture("harder", settle=1.5)
     with stage.over():
         bpy.ops.screen.screen_full_area()

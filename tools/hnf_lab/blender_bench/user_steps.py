@@ -73,7 +73,7 @@ def draw_across(walk: Walk) -> None:
     if len(walk.strokes()) >= MOST_STROKES:
         raise RefusedError("enough strokes")
     first, second = walk.choose(walk.surfaces()), walk.choose(walk.surfaces())
-    samples = []
+    samples: list[dict[str, object]] = []
     for number, surface in enumerate((first, second)):
         for k in range(6):
             point = surface.matrix_world @ Vector((0.004 * k - 0.01, 0.01 * number, 0.0))
