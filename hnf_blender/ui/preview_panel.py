@@ -115,7 +115,8 @@ def needs_bake(scene: Any, stroke: Any, strokes: list[Any]) -> bool:
 def draw_remark(layout: Any, context: Any, stroke: Any) -> None:
     """Draw one line: the most urgent warning, with what mends it, or the signal's level.
 
-    All of them are in the details, which are beside a warning that nothing else mends. The line is always there, so that nothing moves when a warning comes.
+    All of them are in the details, which are beside a warning that nothing else mends. The line is always there, so
+    that nothing moves when a warning comes.
     """
     facts, status = get_preview_facts(stroke), STATE.get_status(context.scene, stroke)
     doubted = next(filter(None, map(bpy.data.materials.get, () if status is None else status.doubted_shaders)), None)
