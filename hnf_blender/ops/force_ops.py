@@ -24,8 +24,8 @@ GRAPH_AREA_SHARE = 0.38
 """Height of a new Graph Editor as a fraction of the 3D view's."""
 FLAT_RANGE_N = 0.05
 """Range of force below which a curve counts as flat [N]."""
-FLAT_MARGIN_N = 4.0
-"""Force added to the range that is shown around a flat curve [N]: a key that is raised to 3 N stays in view."""
+FLAT_MARGIN_N = 3.2
+"""Margin shown above and below a flat curve [N]: a key that is raised from 1 N to 3 N stays in view."""
 LAYOUT_DELAY_S = 0.1
 """Delay before a curve is framed, since a new area has no size before the next redraw [s]."""
 
