@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import bpy
-from drive import buttons, scenery
+from drive import buttons
 from drive.addon import force_keys, freshness, heard, kept, keys_of, ours, state, strokes
 from drive.stage import MissedError
 
@@ -268,51 +268,6 @@ def check_the_command_line_gives_the_same_bytes(stage):
     wavs = sorted(out.glob("*.wav"))
     stage.expect("one WAV", len(wavs) == 1, wavs)
     stage.expect("equal bytes", wavs[0].read_bytes() == stage.memory["wav"], wavs[0].name)
-
-
-def check_a_stroke_goes_over_to_a_neighbor(stage):
-    """From a tile to the one beside it, and on over the floor 5 cm below: both tiles are felt, the floor is not."""
-    scenery.empty_room()
-    yield 1.0
-    scenery.plate("Left", 0.06, at=(-0.03, 0.0, 0.0))
-    scenery.plate("Right", 0.06, at=(0.03, 0.0, -1e-4), material=bpy.data.materials.new("Clear glass"))
-    scenery.plate("Floor", 1.0, at=(0.0, 0.0, -0.05), material=bpy.data.materials.new("Oak"))
-    yield from stage.show_tab()
-    yield from scenery.look_at(stage, bpy.data.objects["Left"])
-    view = stage.area().spaces.active.region_3d
-    view.view_distance, view.view_location = 2.6 * view.view_distance, (0.03, 0.0, 0.0)
-    with stage.over():
-        bpy.ops.ed.undo_push(message="Tiles")
-    yield 0.3
-    yield from press(stage, "hnf.stroke_tool")
-    yield 0.3
-    path = [stage.seen_at((-0.05 + 0.008 * k, 0.006, 0.0)) for k in range(16)]
-    yield from stage.move(path[0])
-    stage.event("LEFTMOUSE", "PRESS", path[0])
-    for k, at in enumerate(path[1:]):
-        yield 0.04
-        stage.event("MOUSEMOVE", "NOTHING", at)
-        if k == 10:
-            yield 0.2
-            stage.photograph("12-over-the-seam")
-    yield 0.05
-    stage.event("LEFTMOUSE", "RELEASE", path[-1])
-    yield from stage.until("a stroke is there", lambda: len(strokes()) == 1, 10.0)
-    stage.expect("it has no surface of its own", stroke().hnf_stroke.surface is None, stroke().hnf_stroke.surface)
-    stage.expect("it is named after both", stroke().name == "Stroke across Left, Right", stroke().name)
-    yield from stage.key("Z", ctrl=True)
-    yield from stage.until("one undo takes it away", lambda: strokes() == [], 10.0)
-    yield from stage.key("Z", ctrl=True, shift=True)
-    yield from stage.until("redo brings it back", lambda: len(strokes()) == 1, 10.0)
-    yield from press(stage, "hnf.bake")
-    yield from stage.until("the job is shown", lambda: state().job is not None, 5.0)
-    yield from stage.until("the bake ends", lambda: state().job is None, 90.0)
-    stage.require("it went well", state().last_job.ok, state().last_job)
-    yield from stage.until("it is fresh", lambda: freshness(stroke().name) == "fresh", 10.0)
-    felt = {obj.name for obj in bpy.context.scene.objects if obj.type == "MESH" and "hnf_palette" in obj.data}
-    stage.expect("both tiles are felt, and nothing else", felt == {"Left", "Right"}, felt)
-    yield from stage.until("the signal is there", lambda: heard(stroke().name) is not None, 20.0)
-    yield from stage.picture("13-both-are-felt", settle=1.5)
 
 
 def newtons_shown(stage):
