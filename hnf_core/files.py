@@ -299,9 +299,10 @@ NPZ_ERRORS: tuple[type[Exception], ...] = (
     OSError,
     EOFError,
     ValueError,
-    KeyError,
+    LookupError,
     TypeError,
-    IndexError,
+    AttributeError,
+    ArithmeticError,
     MemoryError,
     NotImplementedError,
     RuntimeError,
@@ -314,6 +315,14 @@ NPZ_ERRORS: tuple[type[Exception], ...] = (
 """Exceptions that reading a damaged .npz can raise; which one depends on the byte that was hit."""
 
 
+def check_text(name: str, array: NDArray[Any]) -> None:
+    """Raise ValueError if an array of text holds numbers that are no characters, on which Python itself fails."""
+    if array.dtype.kind == "U" and array.dtype.itemsize:
+        words = np.ascontiguousarray(array).reshape(-1).view(array.dtype.byteorder.replace("|", "=") + "u4")
+        if words.size and int(words.max()) > sys.maxunicode:
+            raise ValueError(f"{name} holds numbers that are no characters")
+
+
 def read_npz(data: bytes) -> dict[str, NDArray[Any]]:
     """Read all arrays of an .npz archive by name, without pickle.
 
@@ -322,6 +331,8 @@ def read_npz(data: bytes) -> dict[str, NDArray[Any]]:
     """
     with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
         content = {name: arrays[name] for name in arrays.files}
+    for name, array in content.items():
+        check_text(name, array)
     if len(content) != int.from_bytes(data[-12:-10], "little"):
         raise zipfile.BadZipFile(f"it lists {len(content)} arrays of {int.from_bytes(data[-12:-10], 'little')}")
     return content

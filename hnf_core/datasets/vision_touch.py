@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tokenize import TokenError
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, overload
 
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError, UsageError
+from ..files import NPZ_ERRORS
 from ..units import srgb_to_linear
 
 if TYPE_CHECKING:
@@ -259,9 +259,7 @@ def read_array(path: Path) -> NDArray[np.generic]:
         if mapped.nbytes > MAX_ARRAY_BYTES:
             raise ValueError(f"{mapped.nbytes / 2**20:.0f} MB are too much")
         return np.array(mapped)
-    # numpy parses the header as Python literals and does not catch the parser's errors.
-    except (OSError, ValueError, TypeError, EOFError, ArithmeticError, LookupError, MemoryError, RecursionError,
-            SyntaxError, TokenError) as error:  # fmt: skip
+    except NPZ_ERRORS as error:
         raise FileError(f"is no array of numbers ({error}).", where=str(path), remedy=_IMAGE_REMEDY) from error
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError
-from ..files import refuse_pointer, write_bytes
+from ..files import NPZ_ERRORS, check_text, refuse_pointer, write_bytes
 from ..signal import Signal
 from ..tables import decode_text, parse_columns
 from .json_reader import REEXPORT_REMEDY, read_limited_bytes
@@ -149,9 +149,8 @@ def read_npz(path: Path, options: ImportOptions) -> Signal:
             and np.isfinite(samples).all()
             and 0.0 < rate <= MAX_RATE_HZ
         )
-    except (zipfile.BadZipFile, ValueError, KeyError, TypeError, AttributeError, EOFError, NotImplementedError,
-            RuntimeError, RecursionError, OSError) as error:  # fmt: skip
-        raise FileError(f"is no archive of a signal ({error}).", where=str(path), remedy=REEXPORT_REMEDY) from error
+    except NPZ_ERRORS as error:
+        raise FileError("is damaged, or no archive of a signal.", where=str(path), remedy=REEXPORT_REMEDY) from error
     if not is_valid:
         raise FileError("its samples are no finite float32 at a rate.", where=str(path), remedy=REEXPORT_REMEDY)
     return Signal(samples, rate, seed, facts)
@@ -172,7 +171,9 @@ def _read_member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
         count *= int(size)
     if count * dtype.itemsize != len(content):
         raise ValueError(f"{name} claims {count} values and holds {len(content)} bytes")
-    return np.frombuffer(content, dtype, count).reshape(shape).copy()
+    array = np.frombuffer(content, dtype, count).reshape(shape).copy()
+    check_text(name, array)
+    return array
 
 
 def _read_array_header(stream: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

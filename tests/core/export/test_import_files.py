@@ -363,6 +363,8 @@ def npy(head: str, body: bytes = b"") -> bytes:
         npy("{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2), }", bytes(8)),
         npy("{'descr': '<f4', 'fortran_order': False, 'shape': (2,), }", struct.pack("<2f", 0.0, np.nan)),
         npy("__import__('os')", bytes(8)),
+        npy("{'descr': '<f4", bytes(8)),
+        npy("{'descr': '<f4', 'shape': 1 / 0}", bytes(8)),
         b"no array",
     ],
 )
@@ -379,6 +381,22 @@ def test_arrays_that_are_not_what_they_say_are_refused(tmp_path: Path, samples: 
         assert tracemalloc.get_traced_memory()[1] < 20e6
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_text_of_an_archive_that_is_no_text_is_refused(tmp_path: Path, order: str) -> None:
+    path = tmp_path / "x.npz"
+    whole = written(tmp_path, "npz").read_bytes()
+    with zipfile.ZipFile(BytesIO(whole)) as made:
+        others = {name: made.read(f"{name}.npy") for name in ("samples", "sample_rate_hz", "origin")}
+    for number, said in ((ord("7"), None), (0x110000, FileError), (0xFFFFFFFF, FileError)):
+        head = f"{{'descr': '{order}U1', 'fortran_order': False, 'shape': (), }}"
+        path.write_bytes(archive(seed=npy(head, struct.pack(f"{order}I", number)), **others))
+        if said is None:
+            assert import_signal(path, PLAIN).seed == 7
+            continue
+        with pytest.raises(said, match="damaged, or no archive"):
+            import_signal(path, PLAIN)
 
 
 @pytest.mark.parametrize("word", WORDS)

@@ -33,13 +33,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command. Raises HnfError; returns the exit code."""
     if not 1 <= arguments.count <= 10**7 or arguments.seed < 0:
         raise UsageError("--count must be 1 to 10000000, --seed at least 0.")
-    from ..evaluation.fuzz import READERS, SCENE_KINDS, format_tallies, fuzz_readers, fuzz_scenes
+    from ..evaluation.fuzz import OLD_SCENE_KINDS, READERS, SCENE_KINDS, format_tallies, fuzz_readers, fuzz_scenes
 
     kinds = SCENE_KINDS if arguments.scenes else tuple(READERS)
     chosen = tuple(arguments.only or kinds)
+    known = (*SCENE_KINDS, *OLD_SCENE_KINDS) if arguments.scenes else kinds
     for kind in chosen:
-        if kind not in kinds:
-            raise UsageError(f"there is no kind '{kind}'.", remedy=f"There are: {', '.join(kinds)}.")
+        if kind not in known:
+            raise UsageError(f"there is no kind '{kind}'.", remedy=f"There are: {', '.join(known)}.")
     bar = ProgressBar()
     try:
         tallies = (fuzz_scenes if arguments.scenes else fuzz_readers)(chosen, arguments.count, arguments.seed, bar.show)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import gzip
+import io
 import json
 import re
 import signal
@@ -18,6 +19,7 @@ import sys
 import tempfile
 import time
 import warnings
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -55,8 +57,12 @@ VALUES: tuple[Any, ...] = (
     float("inf"),
 )  # fmt: skip
 NUMBERS = (b"-1", b"0", b"1e308", b"1e-320", b"NaN", b"inf", b"99999999999999999999", b"", b"0x10", b"1,5", b"\xff")
-SCENE_KINDS = ("gltf", "glb", "obj", "ply", "stl", "usda", "usdc", "fbx")
+SCENE_KINDS = ("gltf", "glb", "obj", "ply", "stl", "usda", "usdc", "fbx", "blend")
+OLD_SCENE_KINDS = ("dae",)
+"""Kinds of scenes that Blender reads up to version 4.5."""
 SCENES_PER_PROCESS = 50
+MAX_SCENE_S = 60.0
+"""Longest time [s] after which a process is ended that is busy in Blender, where no timer of Python's interrupts it."""
 READY, ANSWER = "hnf: ready", "hnf: answer "
 """Lines that a process prints which opens scenes: before the first, and before each answer."""
 
@@ -141,7 +147,7 @@ READERS: dict[str, Reader] = {
     "probe": _read_probe,
     "profile": read_profile,
     "transforms": read_transforms,
-    **dict.fromkeys(("ply", "splat", "spz"), _read_splats),
+    **dict.fromkeys(("ply", "splat", "spz", "spz-4", "ksplat", "ksplat-0", "sog", "splats-glb"), _read_splats),
 }  # fmt: skip
 """Kind of file → its reader."""
 
@@ -181,7 +187,106 @@ def make_sources(folder: Path) -> dict[str, Path]:
     files["ply"].write_bytes(header.encode() + values.astype("<f4").tobytes())
     body = struct.pack("<4sIIBBBB", b"NGSP", 2, 20, 0, 12, 0, 0) + bytes(random.integers(0, 256, 20 * 19, np.uint8))
     files["spz"].write_bytes(gzip.compress(body, mtime=0))
+    packed = {"spz-4": _pack_spz, "ksplat": _pack_ksplat, "ksplat-0": _pack_plain_ksplat, "sog": _pack_sog}
+    for kind, pack in (packed | {"splats-glb": _pack_splats_glb}).items():
+        files[kind] = folder / f"{kind}.{kind.split('-')[-1] if kind.endswith('glb') else kind.split('-')[0]}"
+        files[kind].write_bytes(pack(random))
     return files
+
+
+def _pack_spz(random: np.random.Generator) -> bytes:
+    """Pack 20 splats as a .spz file of version 4: its attributes are streams of their own."""
+    import zstandard
+
+    parts = [random.integers(0, 256, 20 * width, np.uint8).tobytes() for width in (9, 1, 3, 3, 4)]
+    streams = [zstandard.ZstdCompressor().compress(part) for part in parts]
+    table = b"".join(struct.pack("<QQ", len(small), len(part)) for small, part in zip(streams, parts, strict=True))
+    return struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 20, 0, 12, 0, len(parts), 32) + table + b"".join(streams)
+
+
+def _pack_ksplat(random: np.random.Generator) -> bytes:
+    """Pack 20 splats of degree 1 as a .ksplat file of level 1: two full buckets of 8 and one of 4."""
+    fields = [("means", "<u2", 3), ("scales", "<f2", 3), ("turn", "<f2", 4), ("colour", "u1", 4), ("more", "<f2", 9)]
+    section = struct.pack("<4IfHxxIIIIH", 20, 20, 8, 3, 1.0, 12, 32767, 0, 2, 1, 1)
+    buckets = struct.pack("<I", 4) + random.random(9).astype("<f4").tobytes()
+    return _join_ksplat(section, 1, buckets + _make_rows(np.dtype(fields), random).tobytes())
+
+
+def _pack_plain_ksplat(random: np.random.Generator) -> bytes:
+    """Pack 20 splats as a .ksplat file of level 0, in which centres are plain numbers."""
+    row = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("turn", "<f4", 4), ("colour", "u1", 4)])
+    return _join_ksplat(struct.pack("<2I", 20, 20), 0, _make_rows(row, random).tobytes())
+
+
+def _join_ksplat(section: bytes, level: int, data: bytes) -> bytes:
+    head = struct.pack("<4B4IHxx5f", 0, 1, 0, 0, 1, 1, 20, 20, level, 0, 0, 0, -1.5, 1.5)
+    return head.ljust(4096, b"\0") + section.ljust(1024, b"\0") + data
+
+
+def _make_rows(row: np.dtype[Any], random: np.random.Generator) -> np.ndarray:
+    rows = np.zeros(20, row)
+    rows["means"] = random.integers(0, 65536, (20, 3)) if row["means"].base == np.uint16 else random.random((20, 3))
+    rows["scales"], rows["turn"], rows["colour"] = 0.01, (1.0, 0.0, 0.0, 0.0), 200
+    return rows
+
+
+def _pack_sog(random: np.random.Generator) -> bytes:
+    """Pack 20 splats with harmonics of degree 1 as a SOG archive of version 2."""
+    import PIL.Image
+
+    table = np.linspace(-4.0, 1.0, 256).tolist()
+    parts = (("means", "low"), ("means", "high"), ("scales", "scales"), ("quats", "quats"), ("sh0", "sh0"))
+    parts += (("shN", "more"), ("shN", "which"))
+    meta: dict[str, Any] = {"version": 2, "count": 20}
+    for entry, name in parts:
+        meta.setdefault(entry, {"files": []})["files"].append(f"{name}.webp")
+    meta["means"] |= {"mins": [-1.0] * 3, "maxs": [1.0] * 3}
+    for entry in ("scales", "sh0", "shN"):
+        meta[entry]["codebook"] = table
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr(zipfile.ZipInfo("meta.json"), json.dumps(meta))
+        for _, name in parts:
+            pixels = random.integers(0, 200, (1, 64 * 3, 4) if name == "more" else (4, 5, 4), np.uint8)
+            pixels[..., 3] = {"quats": 252, "sh0": 200}.get(name, 255)
+            if name == "which":  # an entry of the palette of 64, in two bytes
+                pixels[..., :2] = pixels[..., :1] % 64 * [1, 0]
+            picture = io.BytesIO()
+            PIL.Image.fromarray(pixels).save(picture, "WEBP", lossless=True, exact=True)
+            archive.writestr(zipfile.ZipInfo(f"{name}.webp"), picture.getvalue())
+    return stream.getvalue()
+
+
+def _pack_splats_glb(random: np.random.Generator) -> bytes:
+    """Pack 20 splats as binary glTF with KHR_gaussian_splatting."""
+    columns = {
+        "POSITION": random.random((20, 3)), "SCALE": np.full((20, 3), 0.01), "ROTATION": np.tile([0, 0, 0, 1], (20, 1)),
+        "OPACITY": np.full((20, 1), 0.9), "SH_DEGREE_0_COEF_0": random.random((20, 3)),
+    }  # fmt: skip
+    extension, names = "KHR_gaussian_splatting", ("SCALAR", "VEC2", "VEC3", "VEC4")
+    data = [values.astype("<f4").tobytes() for values in columns.values()]
+    starts = np.cumsum([0, *map(len, data)]).tolist()
+    accessors = [
+        {"componentType": 5126, "count": 20, "type": names[values.shape[1] - 1], "bufferView": number}
+        for number, values in enumerate(columns.values())
+    ]
+    attributes = {key if key == "POSITION" else f"{extension}:{key}": at for at, key in enumerate(columns)}
+    views = [{"buffer": 0, "byteOffset": at, "byteLength": len(part)} for at, part in zip(starts, data, strict=False)]
+    about = {extension: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}}
+    primitive = {"mode": 0, "attributes": attributes, "extensions": about}
+    document = {
+        "asset": {"version": "2.0"}, "extensionsUsed": [extension], "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}], "accessors": accessors,
+        "bufferViews": views, "buffers": [{"byteLength": starts[-1]}],
+    }  # fmt: skip
+    return _join_glb(json.dumps(document).encode(), struct.pack("<I4s", starts[-1], b"BIN\0") + b"".join(data))
+
+
+def _join_glb(text: bytes, rest: bytes) -> bytes:
+    """Return binary glTF of a document and the chunks after it."""
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<I4s", len(text), b"JSON") + text + rest
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
 
 
 _TACT = {"project": {"tracks": [{"enable": True, "effects": [{"startTime": 200, "modes": {"Left": {
@@ -201,7 +306,7 @@ _PROBE = (Path(__file__).parents[3] / "hnf_core" / "data" / "probes" / "pen.toml
 
 
 def mutate(data: bytes, random: np.random.Generator) -> bytes:
-    """Return damaged data: as JSON with other values where it is JSON half of the time, else byte by byte."""
+    """Return damaged data, half of the time inside its JSON, archive or compression if it has one."""
     if data[:1] in b"{[" and random.random() < 0.5:
         try:
             return _mutate_json(json.loads(data), random)
@@ -209,9 +314,27 @@ def mutate(data: bytes, random: np.random.Generator) -> bytes:
             pass
     if data[:2] == b"\x1f\x8b" and random.random() < 0.5:
         return gzip.compress(mutate(gzip.decompress(data), random), mtime=0)
+    if data[:4] == b"PK\x03\x04" and random.random() < 0.5:
+        return _mutate_member(data, random)
+    if data[:4] == b"glTF" and random.random() < 0.5:
+        (length,) = struct.unpack_from("<I", data, 12)
+        return _join_glb(mutate(data[20 : 20 + length], random), data[20 + length :])
     for _ in range(min(int(random.geometric(0.6)), MAX_OPERATIONS)):
         data = _mutate_bytes(data, random)
     return data
+
+
+def _mutate_member(data: bytes, random: np.random.Generator) -> bytes:
+    """Damage one file of a zip archive, and pack the archive anew, so that its checksums are right."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    chosen = list(files)[int(random.integers(len(files)))]
+    files[chosen] = mutate(files[chosen], random)
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name), content)
+    return stream.getvalue()
 
 
 def _mutate_bytes(data: bytes, random: np.random.Generator) -> bytes:
@@ -376,7 +499,10 @@ def fuzz_scenes(
                 said = done.stderr.strip().splitlines()
                 why = f"the process ended with {done.returncode}" + (f": {said[-1]}" if said else "")
                 if READY not in lines:
-                    raise FileError(f"{why}.", where=f"a scene of kind '{kind}'", remedy="Check that bpy is installed.")
+                    remedy = "Check that bpy is installed, in a version that reads this kind."
+                    raise FileError(f"{why}.", where=f"a scene of kind '{kind}'", remedy=remedy)
+                if any(line.startswith("Timeout (") for line in said):
+                    why = f"it took more than {MAX_SCENE_S:g} s in Blender"
                 tally.faults.append(Fault(kind, first, why))
                 first += 1
         tallies.append(tally)
@@ -385,6 +511,8 @@ def fuzz_scenes(
 
 def open_mutated_scenes(kind: str, seed: int, first: int, last: int) -> None:
     """Open mutations of a ball, which Blender writes first, and print one line of JSON for each."""
+    import faulthandler
+
     import bpy
 
     from hnf_blender import props
@@ -403,7 +531,9 @@ def open_mutated_scenes(kind: str, seed: int, first: int, last: int) -> None:
         print(f"\n{READY}", flush=True)
         for number in range(first, last):
             path.write_bytes(make_mutation(whole, kind, seed, number))
+            faulthandler.dump_traceback_later(MAX_SCENE_S, exit=True)
             error, seconds = _time_read(lambda path: open_scene(path), path)
+            faulthandler.cancel_dump_traceback_later()
             outcome = describe_fault(error, seconds) or ("read" if error is None else "refused")
             print(ANSWER + json.dumps([number, outcome, seconds]), flush=True)
 
@@ -417,6 +547,12 @@ def _export(path: Path) -> None:
         bpy.ops.export_scene.gltf(filepath=str(path), export_format=form)
     elif kind == "fbx":
         bpy.ops.export_scene.fbx(filepath=str(path))
+    elif kind == "blend":
+        wm.save_as_mainfile(filepath=str(path), copy=True, compress=False)
+    elif kind == "dae":
+        if "collada_export" not in dir(wm):
+            raise SystemExit(f"Blender {bpy.app.version_string} reads no COLLADA; versions up to 4.5 do")
+        wm.collada_export(filepath=str(path))
     else:
         {"obj": wm.obj_export, "ply": wm.ply_export, "stl": wm.stl_export}.get(kind, wm.usd_export)(filepath=str(path))
 
