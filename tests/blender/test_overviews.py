@@ -117,6 +117,35 @@ def test_a_black_view_is_lit_by_the_dome_and_says_so(things, light, dark):
     assert view.rgb[surface].mean() > 0.5 * plain.rgb[surface].mean()
 
 
+def test_a_view_after_a_black_one_is_rendered_in_full_once(things, monkeypatch):
+    ball, floor = things
+    lamp_that_looks_away(ball)
+    sizes = []
+
+    def count(temporary):
+        passes = render_passes(temporary)
+        sizes.append(passes["Combined"].shape[1])
+        return passes
+
+    render_passes = lit_render.render_passes
+    single = [render_overview(bpy.context.scene, camera, samples=2, objects=[ball, floor]) for camera in (LEFT, RIGHT)]
+    monkeypatch.setattr(lit_render, "render_passes", count)
+    with OverviewRenderer(bpy.context.scene, samples=2) as overviews:
+        views = [overviews.render_view(camera, [ball, floor]) for camera in (LEFT, RIGHT)]
+        lamp = bpy.context.scene.objects["Spot"]
+        lamp.rotation_euler = (0, 0, 0)
+        bpy.context.view_layer.update()
+        _, told = overviews.render_view(LEFT, [ball, floor])
+    small = [camera.width * (100 // lit_render.GLANCE_REDUCTION) // 100 for camera in (LEFT, RIGHT)]
+    assert sizes[:2] == [LEFT.width] * 2  # black, then under the dome
+    assert sizes[2:4] == [small[1], RIGHT.width]  # a look, then under the dome at once
+    assert sizes[4:] == [small[0], LEFT.width]  # a look, which the turned lamp lights
+    assert told == ()
+    for (view, notes), (other, other_notes) in zip(views, single, strict=True):
+        assert notes == other_notes == (lit_render.BLACK_NOTE,)
+        assert_equal(view, other)
+
+
 def test_a_black_thing_in_the_light_stays_black_without_a_word():
     thing = coloured(add_plane(size=9.0), (0, 0, 0))
     tree = thing.data.materials[0].node_tree

@@ -78,6 +78,7 @@ class OverviewRenderer:
         self._scene, self._metres, self._samples = scene, metres_per_unit, samples
         self._entire_scene, self._relief = entire_scene, relief
         self._dome: Any = None
+        self._was_dark = False
 
     def __enter__(self) -> OverviewRenderer:
         self.temporary = TemporaryScene(self._scene if self._entire_scene else None, long_lived=True).__enter__()
@@ -129,13 +130,14 @@ class OverviewRenderer:
                 temporary.scene.camera = self._camera
                 set_camera(temporary.scene, self._camera, camera, np.eye(4), self._metres)
                 temporary.evaluate(_get_frame(scene, frame))
-            passes = render_passes(temporary)
-            depth = get_planar_depth(passes, self._metres)
-            if not notes and is_black(passes["Combined"][..., :3], np.isfinite(depth)):
+            is_dark = not notes and self._was_dark and self._looks_black()
+            passes = {} if is_dark else render_passes(temporary)
+            if is_dark or (not notes and self._is_black(passes)):
                 temporary.scene.world = self._get_dome()
                 passes = render_passes(temporary)
-                if not is_black(passes["Combined"][..., :3], np.isfinite(depth)):  # else the surface itself is black
-                    notes = (BLACK_NOTE,)
+                if not self._is_black(passes):  # else the surface itself is black
+                    notes, self._was_dark = (BLACK_NOTE,), True
+        depth = get_planar_depth(passes, self._metres)
         view = RgbdView(
             camera=camera,
             rgb=np.ascontiguousarray(passes["Combined"][..., :3]),
@@ -144,6 +146,24 @@ class OverviewRenderer:
             normal=passes["Normal"][..., :3],
         )
         return view, notes
+
+    def _is_black(self, passes: dict[str, NDArray[np.float32]], **limit: float) -> bool:
+        """Return True if rendered passes are black where they show a surface."""
+        return is_black(passes["Combined"][..., :3], np.isfinite(get_planar_depth(passes, self._metres)), **limit)
+
+    def _looks_black(self) -> bool:
+        """Return True if not one pixel of a small, noisy render of the view is lit.
+
+        Where one view was black the next one mostly is: this look costs little and saves rendering it twice.
+        """
+        scene = self.temporary.scene
+        before = scene.render.resolution_percentage, scene.cycles.samples, scene.cycles.use_denoising
+        scene.render.resolution_percentage = max(1, before[0] // GLANCE_REDUCTION)
+        scene.cycles.samples, scene.cycles.use_denoising = 1, False
+        try:
+            return self._is_black(render_passes(self.temporary), min_lit=0.0)
+        finally:
+            scene.render.resolution_percentage, scene.cycles.samples, scene.cycles.use_denoising = before
 
     @contextmanager
     def _link_temporarily(self, objects: Sequence[Any], camera: Any) -> Iterator[None]:
@@ -307,10 +327,17 @@ MIN_LIT_FRACTION = 0.01
 """Fraction of a surface's pixels that must not be black in a lit view."""
 
 
-def is_black(rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> bool:
-    """Return True if a linear image (H, W, 3) is black where it shows a surface (`mask`, (H, W)); False without any."""
+GLANCE_REDUCTION = 8
+"""Factor by which a first look at a view that may be black is smaller than the view."""
+
+
+def is_black(rgb: NDArray[np.float32], mask: NDArray[np.bool_], min_lit: float = MIN_LIT_FRACTION) -> bool:
+    """Return True if a linear image (H, W, 3) is black where it shows a surface (`mask`, (H, W)); False without any.
+
+    It is not black with `min_lit` of the surface's pixels lit, or with more; with 0.0, any lit pixel counts.
+    """
     lit = rgb[mask].max(axis=-1, initial=0.0) > DARK
-    return bool(len(lit) > 0 and lit.mean() < MIN_LIT_FRACTION)
+    return bool(len(lit) > 0 and (lit.mean() < min_lit or not lit.any()))
 
 
 def add_dome(scene: Any) -> None:
