@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
+import struct
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +14,7 @@ import pytest
 
 from hnf_blender.cli import main
 from hnf_core.errors import FileError
+from hnf_core.scene.splats.io_sog import ZIP_ERRORS
 from hnf_lab.evaluation import fuzz
 
 
@@ -35,6 +39,38 @@ def test_a_seed_and_a_number_make_the_same_file() -> None:
 def test_any_data_is_mutated(data) -> None:
     for number in range(100):
         assert isinstance(fuzz.mutate(data, np.random.default_rng(number)), bytes)
+
+
+def test_what_an_archive_holds_is_damaged_under_right_checksums() -> None:
+    stream, files = io.BytesIO(), {"meta.json": b'{"a": [1, 2]}', "rows.bin": bytes(range(64))}
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name), content)
+    changed = set()
+    for number in range(100):
+        unpacked = unpack(fuzz.make_mutation(stream.getvalue(), "sog", 1, number))
+        changed |= {name for name in files if name in unpacked and unpacked[name] != files[name]}
+    assert changed == set(files)
+
+
+def unpack(data: bytes) -> dict[str, bytes]:
+    """The files of an archive whose checksums are right, none of a damaged one."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return {name: archive.read(name) for name in archive.namelist()}
+    except (*ZIP_ERRORS, OSError):
+        return {}
+
+
+def test_the_document_of_binary_gltf_is_damaged_under_right_lengths() -> None:
+    whole = fuzz._join_glb(b'{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}]}', b"rest")
+    found = []
+    for number in range(100):
+        data = fuzz.make_mutation(whole, "glb", 1, number)
+        if len(data) >= 20 and struct.unpack_from("<4sII", data) == (b"glTF", 2, len(data)) and data.endswith(b"rest"):
+            (length,) = struct.unpack_from("<I", data, 12)
+            found += [data[20 : 20 + length]] if length + 24 == len(data) else []
+    assert len(set(found) - {whole[20:-4]}) > 25
 
 
 REMEDY = "Export it again."
@@ -99,6 +135,23 @@ def test_scenes_are_opened_in_a_process_of_their_own() -> None:
     (tally,) = fuzz.fuzz_scenes(["obj"], 4, seed=0)
     assert tally.count == 4
     assert not tally.faults
+
+
+def test_a_file_on_which_blender_hangs_is_a_fault(monkeypatch) -> None:
+    hanging = (
+        "import faulthandler, time; print('hnf: ready', flush=True); "
+        "faulthandler.dump_traceback_later(0.1, exit=True); time.sleep(30)"
+    )
+    monkeypatch.setattr(fuzz, "_CHILD", hanging)
+    (tally,) = fuzz.fuzz_scenes(["obj"], 2, seed=0)
+    assert [(fault.number, fault.what) for fault in tally.faults] == [
+        (number, "it took more than 60 s in Blender") for number in range(2)
+    ]
+
+
+def test_collada_is_named_as_a_kind_of_older_versions(capsys) -> None:
+    assert main(["eval", "fuzz", "--scenes", "--only", "xyz"]) == 2
+    assert "blend, dae" in capsys.readouterr().err
 
 
 def test_a_process_that_dies_costs_one_file(monkeypatch) -> None:
