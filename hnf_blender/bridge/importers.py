@@ -413,6 +413,8 @@ def open_scene(
     if is_splat_file(path, suffix):
         return _open_splats(path, cache, progress, write_cache)
     importer = _find_importer(suffix, path)
+    if suffix.startswith(".usd"):
+        check_usd_meshes(path)
     open_empty_scene()
     _run_operator(path, lambda: importer(filepath=str(path)))
     scene = bpy.context.scene
@@ -528,6 +530,42 @@ def _check_ply(path: Path) -> None:
             remedy="Convert it to a mesh first (for example by Poisson reconstruction).",
         )
     check_faces(path, header)
+
+
+def check_usd_meshes(path: Path) -> None:
+    """Raise FileError if a USD file cannot be parsed, or a face of it is cut off or names a point that is not there.
+
+    Blender's importer trusts all of it, and its process ends. Blender brings the library that this needs from 4.4 on;
+    before, nothing is checked.
+    """
+    import bpy
+
+    if not hasattr(bpy.utils, "expose_bundled_modules"):
+        return
+    bpy.utils.expose_bundled_modules()
+    from pxr import Tf, Usd, UsdGeom
+
+    try:
+        with suppress_output():
+            stage = Usd.Stage.Open(str(path))
+            prims = [*stage.TraverseAll(), *(prim for each in stage.GetPrototypes() for prim in Usd.PrimRange(each))]
+            for mesh in [UsdGeom.Mesh(prim) for prim in prims if prim.IsA(UsdGeom.Mesh)]:
+                _check_usd_mesh(path, mesh, Usd.TimeCode.EarliestTime())
+    except Tf.ErrorException as error:
+        raise _damaged_file_error(path, "it cannot be parsed") from error
+
+
+def _check_usd_mesh(path: Path, mesh: Any, time: Any) -> None:
+    attributes = mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr(), mesh.GetPointsAttr()
+    counts, corners, points = (np.asarray([] if (found := each.Get(time)) is None else found) for each in attributes)
+    name = mesh.GetPrim().GetName()
+    wanted = int(counts.sum(dtype=np.int64))
+    if counts.min(initial=0) < 0 or wanted != len(corners):
+        raise _damaged_file_error(
+            path, f"the faces of mesh '{name}' want {wanted} corners, and {len(corners)} are there"
+        )
+    if corners.min(initial=0) < 0 or corners.max(initial=-1) >= len(points):
+        raise _damaged_file_error(path, f"a face of mesh '{name}' names a point that is not among its {len(points)}")
 
 
 def _find_importer(suffix: str, path: Path) -> Callable[..., Any]:

@@ -105,6 +105,8 @@ def read_ply_header(path: Path) -> PlyHeader:
             name = words[1]
             elements[name], types[name] = (int(words[2]), ()), ()
         elif words[:1] == ["property"] and name:
+            if len(words) < 3:
+                raise make_damaged_error(path, f"its header line {' '.join(words)[:80]!r} cannot be read")
             count, names = elements[name]
             elements[name] = (count, (*names, words[-1]))
             types[name] = (*types[name], PLY_TYPES.get(words[1], "") if len(words) == 3 else "")

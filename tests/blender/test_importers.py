@@ -295,6 +295,37 @@ def test_a_layer_of_changes_alone_is_refused_as_such(tmp_path: Path, content: st
         open_scene(tmp_path / "look.usda")
 
 
+@pytest.mark.skipif(not hasattr(bpy.utils, "expose_bundled_modules"), reason="Blender brings no USD library yet")
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[3, 3, 3]", "[3, 3, 3]", ""),
+        ("[3, 3, 3]", "[3, 3, 4]", "want 10 corners, and 9 are there"),
+        ("[3, 3, 3]", "[3, 3, -3]", "want 3 corners, and 9 are there"),
+        ("[0, 1, 2,", "[0, 1, 4,", "names a point that is not among its 4"),
+        ("[0, 1, 2,", "[0, 1, -2,", "names a point that is not among its 4"),
+        ("(0, 0, 1)]", "]", "names a point that is not among its 3"),
+        ("(0, 0, 1)]", "(0, 0]", "cannot be parsed"),
+        ("(0, 0, 1)]", "", "cannot be parsed"),
+    ],
+)
+def test_a_usd_mesh_whose_faces_do_not_fit_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    text = """#usda 1.0
+def Mesh "Tent" {
+    int[] faceVertexCounts = [3, 3, 3]
+    int[] faceVertexIndices = [0, 1, 2, 0, 3, 1, 1, 3, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+}
+"""
+    assert old in text
+    (tmp_path / "tent.usda").write_text(text.replace(old, new))
+    if not said:
+        assert len(open_scene(tmp_path / "tent.usda").objects["Tent"].data.polygons) == 3
+        return
+    with pytest.raises(FileError, match=said):
+        open_scene(tmp_path / "tent.usda")
+
+
 def test_a_gltf_without_meshes_is_refused(tmp_path: Path) -> None:
     document = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"name": "Nothing"}], "scene": 0}
     (tmp_path / "a.gltf").write_text(json.dumps(document))

@@ -182,6 +182,8 @@ def test_flipped_bytes_give_an_error_or_sound_splats(
         ("element vertex 300", "element vertex 999999999999999999", "300 of its 999999999999999999 splats"),
         ("element vertex 300", "element vertex " + "9" * 5000, "cannot be read"),
         ("element vertex 300", "element vertex -5", "cannot be read"),
+        ("property float x", "property float x\nproperty", "'property' cannot be read"),
+        ("property float x", "property float", "'property float' cannot be read"),
         ("element vertex 300", "element vertex 300\nelement vertex 300", "cannot be read"),
         ("property float x\n", "property int x\n", "'x' is of the wrong type"),
         ("property float x\n", "property list uchar float x\n", "'x' is of the wrong type"),
