@@ -89,7 +89,7 @@ def _start_blender(verb: str, scene: Path | None) -> None:
 
         check_scene_file(scene)  # a mistyped path fails before Blender starts
         if "bpy" not in sys.modules:
-            _tell_of_a_crash(scene)
+            _report_crash(scene)
     _register_properties()
 
 
@@ -100,7 +100,7 @@ if b"Fatal Python error" in sys.stdin.buffer.read():
 """
 
 
-def _tell_of_a_crash(scene: Path) -> None:
+def _report_crash(scene: Path) -> None:
     """Start a process that says in one line which file was open, should Blender's own code end this process.
 
     Blender believes what a file says of itself: a damaged one may end the process, of which nothing else would tell.

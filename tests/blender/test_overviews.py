@@ -136,7 +136,7 @@ def test_a_view_after_a_black_one_is_rendered_in_full_once(things, monkeypatch):
         lamp.rotation_euler = (0, 0, 0)
         bpy.context.view_layer.update()
         _, told = overviews.render_view(LEFT, [ball, floor])
-    small = [camera.width * (100 // lit_render.GLANCE_REDUCTION) // 100 for camera in (LEFT, RIGHT)]
+    small = [camera.width * (100 // lit_render.PREVIEW_REDUCTION) // 100 for camera in (LEFT, RIGHT)]
     assert sizes[:2] == [LEFT.width] * 2  # black, then under the dome
     assert sizes[2:4] == [small[1], RIGHT.width]  # a look, then under the dome at once
     assert sizes[4:] == [small[0], LEFT.width]  # a look, which the turned lamp lights

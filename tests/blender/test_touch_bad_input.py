@@ -501,7 +501,7 @@ def test_a_wrong_scene_is_told_before_blender_starts(tmp_path) -> None:
 def test_a_file_on_which_blender_dies_is_named(end: str, code: int, said: int) -> None:
     program = (
         "import ctypes, os, signal, sys; from pathlib import Path; from hnf_blender import cli; "
-        f"cli._tell_of_a_crash(Path('bad.blend')); {end}"
+        f"cli._report_crash(Path('bad.blend')); {end}"
     )
     order = [sys.executable, "-c", program]
     run = subprocess.run(order, cwd=ROOT, capture_output=True, text=True, start_new_session=True)

@@ -158,7 +158,7 @@ class OverviewRenderer:
         """
         scene = self.temporary.scene
         before = scene.render.resolution_percentage, scene.cycles.samples, scene.cycles.use_denoising
-        scene.render.resolution_percentage = max(1, before[0] // GLANCE_REDUCTION)
+        scene.render.resolution_percentage = max(1, before[0] // PREVIEW_REDUCTION)
         scene.cycles.samples, scene.cycles.use_denoising = 1, False
         try:
             return self._is_black(render_passes(self.temporary), min_lit=0.0)
@@ -327,7 +327,7 @@ MIN_LIT_FRACTION = 0.01
 """Fraction of a surface's pixels that must not be black in a lit view."""
 
 
-GLANCE_REDUCTION = 8
+PREVIEW_REDUCTION = 8
 """Factor by which a first look at a view that may be black is smaller than the view."""
 
 

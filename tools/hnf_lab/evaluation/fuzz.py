@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hnf_core.action.action import read_action_csv
 from hnf_core.actuators.profile import GENERIC
@@ -156,10 +157,12 @@ def make_sources(folder: Path) -> dict[str, Path]:
     """Write one small file of each kind of READERS; return kind → file."""
     time_s = np.arange(2000) / 10_000.0
     touch = Signal((3.0 * np.sin(2.0 * np.pi * 150.0 * time_s) * (time_s < 0.15)).astype(np.float32), 10_000.0, 1, {})
+    # So many vectors that hardly any mutation would hit what holds them.
+    brief = Signal(touch.samples[:200], touch.sample_rate, 1, {})
     files: dict[str, Path] = {}
     for word in ("wav", "csv", "npz", *(word for word, form in FORMATS.items() if form.load)):
         files[word] = folder / f"{word}{FORMATS[word].suffix}"
-        FORMATS[word].write(files[word], touch, ExportOptions())
+        FORMATS[word].write(files[word], brief if word == "hjif" else touch, ExportOptions())
     texts = {
         "tact": json.dumps(_TACT), "haps": json.dumps(_HAPS), "transforms": json.dumps(_TRANSFORMS),
         "action": "time_s,direction_rad,speed_m_s,force_n\n" + "".join(f"{i / 100},0.1,0.1,1\n" for i in range(20)),
@@ -223,7 +226,7 @@ def _join_ksplat(section: bytes, level: int, data: bytes) -> bytes:
     return head.ljust(4096, b"\0") + section.ljust(1024, b"\0") + data
 
 
-def _make_rows(row: np.dtype[Any], random: np.random.Generator) -> np.ndarray:
+def _make_rows(row: np.dtype[Any], random: np.random.Generator) -> NDArray[Any]:
     rows = np.zeros(20, row)
     rows["means"] = random.integers(0, 65536, (20, 3)) if row["means"].base == np.uint16 else random.random((20, 3))
     rows["scales"], rows["turn"], rows["colour"] = 0.01, (1.0, 0.0, 0.0, 0.0), 200
@@ -235,8 +238,8 @@ def _pack_sog(random: np.random.Generator) -> bytes:
     import PIL.Image
 
     table = np.linspace(-4.0, 1.0, 256).tolist()
-    parts = (("means", "low"), ("means", "high"), ("scales", "scales"), ("quats", "quats"), ("sh0", "sh0"))
-    parts += (("shN", "more"), ("shN", "which"))
+    parts = [("means", "low"), ("means", "high"), ("scales", "scales"), ("quats", "quats"), ("sh0", "sh0")]
+    parts += [("shN", "more"), ("shN", "which")]
     meta: dict[str, Any] = {"version": 2, "count": 20}
     for entry, name in parts:
         meta.setdefault(entry, {"files": []})["files"].append(f"{name}.webp")
