@@ -543,16 +543,20 @@ def check_usd_meshes(path: Path) -> None:
     if not hasattr(bpy.utils, "expose_bundled_modules"):
         return
     bpy.utils.expose_bundled_modules()
-    from pxr import Tf, Usd, UsdGeom
+    from pxr import Sdf, Tf, Usd, UsdGeom
 
-    try:
-        with suppress_output():
-            stage = Usd.Stage.Open(str(path))
-            prims = [*stage.TraverseAll(), *(prim for each in stage.GetPrototypes() for prim in Usd.PrimRange(each))]
-            for mesh in [UsdGeom.Mesh(prim) for prim in prims if prim.IsA(UsdGeom.Mesh)]:
-                _check_usd_mesh(path, mesh, Usd.TimeCode.EarliestTime())
-    except Tf.ErrorException as error:
-        raise _damaged_file_error(path, "it cannot be parsed") from error
+    with suppress_output():
+        try:
+            layer = Sdf.Layer.FindOrOpen(str(path))
+        except Tf.ErrorException as error:
+            raise _damaged_file_error(path, "it cannot be parsed") from error
+        try:
+            stage = Usd.Stage.Open(layer)
+        except Tf.ErrorException:  # a file that it refers to cannot be parsed, which costs only what is in that
+            return
+        prims = [*stage.TraverseAll(), *(prim for each in stage.GetPrototypes() for prim in Usd.PrimRange(each))]
+        for mesh in [UsdGeom.Mesh(prim) for prim in prims if prim.IsA(UsdGeom.Mesh)]:
+            _check_usd_mesh(path, mesh, Usd.TimeCode.EarliestTime())
 
 
 def _check_usd_mesh(path: Path, mesh: Any, time: Any) -> None:

@@ -326,6 +326,14 @@ def Mesh "Tent" {
         open_scene(tmp_path / "tent.usda")
 
 
+def test_a_usd_file_that_refers_to_a_broken_one_shows_the_rest(ball_files: Path, tmp_path: Path) -> None:
+    shutil.copy(ball_files / "ball.usda", tmp_path / "ball.usda")
+    (tmp_path / "broken.usda").write_text('#usda 1.0\ndef Mesh "Lost" {\n    point3f[] points = [(0, 0]\n}\n')
+    references = "".join(f'def "{name}" (references = @./{name}.usda@) {{}}\n' for name in ("ball", "broken"))
+    (tmp_path / "both.usda").write_text(f"#usda 1.0\n{references}")
+    assert [obj.type for obj in open_scene(tmp_path / "both.usda").objects].count("MESH") == 1
+
+
 def test_a_gltf_without_meshes_is_refused(tmp_path: Path) -> None:
     document = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"name": "Nothing"}], "scene": 0}
     (tmp_path / "a.gltf").write_text(json.dumps(document))
