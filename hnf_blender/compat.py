@@ -4,11 +4,78 @@ from __future__ import annotations
 
 import importlib
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-WORK_LOCK = threading.Lock()
+
+class WorkLock:
+    """Lock of everything that computes: handed on in the order in which it was asked for, to an operator first.
+
+    Threads take it with `with`, an operator with `hold_for_operator`. It is not reentrant.
+    """
+
+    def __init__(self) -> None:
+        self._guard = threading.Lock()
+        self._is_held = False
+        self._operators: deque[threading.Event] = deque()
+        self._threads: deque[threading.Event] = deque()
+
+    @property
+    def is_wanted(self) -> bool:
+        """True while an operator waits, for whom a thread should stop as soon as it can."""
+        return bool(self._operators)
+
+    def give_way(self) -> None:
+        """Let all that wait go first; called between two steps by a thread that holds the lock."""
+        if self._operators or self._threads:
+            self._release()
+            self._acquire(self._threads)
+
+    @contextmanager
+    def hold_for_operator(self) -> Iterator[None]:
+        """Hold the lock in Blender's main thread, before all threads that wait."""
+        self._acquire(self._operators)
+        try:
+            yield
+        finally:
+            self._release()
+
+    def __enter__(self) -> None:
+        self._acquire(self._threads)
+
+    def __exit__(self, *_: object) -> None:
+        self._release()
+
+    def _acquire(self, waiting: deque[threading.Event]) -> None:
+        turn = threading.Event()
+        with self._guard:
+            if not self._is_held:
+                self._is_held = True
+                return
+            waiting.append(turn)
+        try:
+            turn.wait()
+        except BaseException:
+            with self._guard:
+                is_ours = turn not in waiting
+                if not is_ours:
+                    waiting.remove(turn)
+            if is_ours:
+                self._release()
+            raise
+
+    def _release(self) -> None:
+        # The lock stays held and only the next one is woken: nobody else may run beside an operator.
+        with self._guard:
+            waiting = self._operators or self._threads
+            self._is_held = bool(waiting)
+            if waiting:
+                waiting.popleft().set()
+
+
+WORK_LOCK = WorkLock()
 """Held by a thread while it computes, and while an operator reads an overridden context."""
 
 
@@ -38,7 +105,7 @@ def override_context(**members: Any) -> Iterator[None]:
     """
     import bpy
 
-    with WORK_LOCK, bpy.context.temp_override(**members):
+    with WORK_LOCK.hold_for_operator(), bpy.context.temp_override(**members):
         yield
 
 

@@ -7,11 +7,13 @@ a level error per band. A thread computes it; only the newest stroke counts.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..compat import WORK_LOCK
 from ..translations import tr
 
 if TYPE_CHECKING:
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
 RING_OUT_S = 0.05
 """Silence appended after a stroke, in which the transducer still rings [s]."""
+STEP_S = 1.0
+"""Length of the signal that is limited in one step, between which others may go first [s]."""
 
 
 @dataclass(frozen=True)
@@ -67,14 +71,33 @@ class OutputEstimate:
     compensated: BandError | None = None
 
 
-def estimate_output(signal: Signal, profile: ActuatorProfile, *, virtual: bool) -> OutputEstimate:
-    """Predict what can be known of a signal on an actuator; `virtual` includes the motion of the skin."""
-    on_virtual = estimate_skin(signal, profile) if virtual else None
+def do_nothing() -> None:
+    """Do nothing, between two steps of a computation that nobody interrupts."""
+
+
+def estimate_output(
+    signal: Signal, profile: ActuatorProfile, *, virtual: bool, between_steps: Callable[[], None] = do_nothing
+) -> OutputEstimate:
+    """Predict what can be known of a signal on an actuator.
+
+    Parameters
+    ----------
+    signal : Signal
+        The signal [m/s²].
+    profile : ActuatorProfile
+        The actuator, with its measured response if it has one.
+    virtual : bool
+        Predict the motion of the skin on the virtual actuator too.
+    between_steps : callable
+        Called between two steps of the computation.
+    """
+    on_virtual = estimate_skin(signal, profile, between_steps=between_steps) if virtual else None
     if profile.response is None:
         return OutputEstimate(on_virtual)
-    return OutputEstimate(
-        on_virtual, *(compute_band_error(signal, profile, compensate=compensate) for compensate in (False, True))
-    )
+    between_steps()
+    uncompensated = compute_band_error(signal, profile, compensate=False)
+    between_steps()
+    return OutputEstimate(on_virtual, uncompensated, compute_band_error(signal, profile, compensate=True))
 
 
 def compute_band_error(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> BandError | None:
@@ -91,10 +114,13 @@ def compute_band_error(signal: Signal, profile: ActuatorProfile, *, compensate: 
     return BandError(compute_rms_db(changes), max(map(abs, changes))) if changes else None
 
 
-def estimate_skin(signal: Signal, profile: ActuatorProfile) -> SkinEstimate:
+def estimate_skin(
+    signal: Signal, profile: ActuatorProfile, *, between_steps: Callable[[], None] = do_nothing
+) -> SkinEstimate:
     """Predict the skin's motion on the generic transducer, starting at rest and at room temperature.
 
-    As in the player, the inverse filter of the profile's response is applied first.
+    As in the player, the inverse filter of the profile's response is applied first. `between_steps` is called between
+    two steps of the computation.
     """
     from hnf_core.actuators.limiter import Limiter
     from hnf_core.actuators.measure.inverse_filter import make_compensation
@@ -104,7 +130,12 @@ def estimate_skin(signal: Signal, profile: ActuatorProfile) -> SkinEstimate:
     samples = signal.samples[:, None]
     for stage in make_compensation(profile, signal.sample_rate, 1):
         samples = stage.process(samples)
-    counts = np.concatenate([limiter.process(samples), limiter.flush()])
+    blocks, length = [], round(STEP_S * signal.sample_rate)
+    for start in range(0, len(samples), length):
+        between_steps()
+        blocks.append(limiter.process(samples[start : start + length]))
+    counts = np.concatenate([*blocks, limiter.flush()])
+    between_steps()
     rest = np.zeros((round(RING_OUT_S * signal.sample_rate), 1), dtype=np.int16)
     motion = simulate_motion(GENERIC_TRANSDUCER, counts_to_drive(np.concatenate([counts, rest])), signal.sample_rate)
     skin = motion.acceleration[: len(signal.samples)]
@@ -176,6 +207,10 @@ class SkinPreview:
         return self.estimate is not previous
 
     def _run(self, key: object, signal: Signal, profile: ActuatorProfile, virtual: bool) -> None:
+        with WORK_LOCK:
+            self._estimate(key, signal, profile, virtual)
+
+    def _estimate(self, key: object, signal: Signal, profile: ActuatorProfile, virtual: bool) -> None:
         from hnf_core.actuators.profile import USER_PROFILE_NAME
         from hnf_core.actuators.profile_json import load_profile
         from hnf_core.errors import HnfError
@@ -185,7 +220,8 @@ class SkinPreview:
             complete_profile = profile if profile.name == USER_PROFILE_NAME else load_profile(profile.name)
         except HnfError:
             return  # The player reports the same error.
-        self._result = key, estimate_output(signal, complete_profile, virtual=virtual)
+        give_way = WORK_LOCK.give_way
+        self._result = key, estimate_output(signal, complete_profile, virtual=virtual, between_steps=give_way)
 
 
 SKIN_PREVIEW = SkinPreview()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from hnf_core.errors import HnfError
 
+from ..compat import WORK_LOCK
 from ..state.session_state import LastJob
 
 if TYPE_CHECKING:
@@ -135,12 +136,17 @@ def is_preloaded() -> bool:
 
 
 def _preload() -> None:
-    from hnf_core.field.weights import load_field
-    from hnf_core.material.library import load_library
-
-    from ..touch.bake_patches import ReliefPredictor
-    from . import bake_job  # noqa: F401  # Imports all that a query or a bake needs.
-
-    load_field()
-    load_library()
-    _ = ReliefPredictor().weights_hash  # Reads the weights once.
+    with WORK_LOCK:
+        from hnf_core.field.weights import load_field
+    with WORK_LOCK:
+        from hnf_core.material.library import load_library
+    with WORK_LOCK:
+        from ..touch.bake_patches import ReliefPredictor
+    with WORK_LOCK:
+        from . import bake_job  # noqa: F401  # Imports all that a query or a bake needs.
+    with WORK_LOCK:
+        load_field()
+    with WORK_LOCK:
+        load_library()
+    with WORK_LOCK:
+        _ = ReliefPredictor().weights_hash  # Reads the weights once.

@@ -15,7 +15,7 @@ from hnf_core.errors import FileError, HnfError, SceneError
 from hnf_core.progress import Cancelled, Progress
 
 from ..bridge.scene.scene_names import find_object, get_scene_name
-from ..compat import beside_the_file
+from ..compat import WORK_LOCK, beside_the_file
 from ..props.scene_settings import get_active_stroke, list_strokes
 from ..state.addon_settings import get_cache_folder
 from ..state.session_state import STATE
@@ -250,6 +250,10 @@ class SplatReader:
         self._stopped.set()
 
     def _run(self, path: Path, cache: Path, source: "SplatSource") -> None:
+        with WORK_LOCK:
+            self._read(path, cache, source)
+
+    def _read(self, path: Path, cache: Path, source: "SplatSource") -> None:
         from ..bridge.splats.reconstruction import read_reconstruction
 
         try:
@@ -265,6 +269,7 @@ class SplatReader:
         if self._stopped.is_set():
             raise Cancelled
         self.share = progress.fraction
+        WORK_LOCK.give_way()
 
 
 def open_splats(path: Path) -> "SplatSource":

@@ -236,7 +236,8 @@ Outcome = PreviewResult | str
 class SynthesisThread:
     """Thread that synthesizes requested strokes; the newest request of each stroke replaces earlier ones.
 
-    A request with `first` interrupts the synthesis of other strokes, which are started again afterwards.
+    A request with `first`, and an operator that waits for the thread to pause, interrupt a synthesis, which is started
+    again afterwards.
     """
 
     def __init__(self) -> None:
@@ -309,10 +310,13 @@ class SynthesisThread:
                     self._done[current.name] = outcome
                 elif not self._is_stopping:
                     self._requests.setdefault(name, (current, style))
+                    if name == self._first_name:
+                        self._requests.move_to_end(name, last=False)
 
     def _is_superseded(self, name: str) -> bool:
         with self._condition:
-            return self._is_stopping or name in self._requests or self._first_name in self._requests
+            is_outdated = self._is_stopping or name in self._requests or self._first_name in self._requests
+        return is_outdated or compat.WORK_LOCK.is_wanted
 
 
 def _count_bytes(rendered: RenderedStroke) -> int:

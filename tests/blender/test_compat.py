@@ -6,6 +6,8 @@ import ast
 import re
 import subprocess
 import sys
+import threading
+import time
 import warnings
 from pathlib import Path
 
@@ -120,3 +122,104 @@ def test_every_operator_under_an_override_has_the_lock():
     package = Path(compat.__file__).parent
     found = {path.name: find_unlocked_operators(path.read_text(encoding="utf-8")) for path in package.rglob("*.py")}
     assert {name: lines for name, lines in found.items() if lines} == {}
+
+
+THREADS_THAT_WAIT = {
+    "jobs/child_job.py": "reads the output of a process, or waits for its end",
+    "actuator/player_process.py": "reads and writes the pipes of a process, or waits for its end",
+    "ops/learn_ops.py": "waits for the external Python, a process",
+}
+"""Module → what its threads do instead of computing."""
+
+
+def is_thread(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and ast.unparse(node.func) in {"Thread", "threading.Thread"}
+
+
+def find_unlocked_threads(text: str) -> list[int]:
+    """Return the lines where threads are started in a module that never takes the lock."""
+    tree = ast.parse(text)
+    locked = any(
+        isinstance(node, ast.With) and any("WORK_LOCK" in ast.unparse(item) for item in node.items)
+        for node in ast.walk(tree)
+    )
+    return [] if locked else [node.lineno for node in ast.walk(tree) if is_thread(node)]
+
+
+def test_every_thread_takes_the_lock_or_only_waits():
+    breach = "thread = threading.Thread(target=work)\nthread.start()\n"
+    assert find_unlocked_threads(breach) == [1]
+    assert find_unlocked_threads("with compat.WORK_LOCK:\n    work()\n" + breach) == []
+    package = Path(compat.__file__).parent
+    found = {
+        path.relative_to(package).as_posix(): find_unlocked_threads(path.read_text(encoding="utf-8"))
+        for path in package.rglob("*.py")
+    }
+    assert sorted(name for name, lines in found.items() if lines) == sorted(THREADS_THAT_WAIT)
+
+
+class WorkLog:
+    """Threads that take a lock, and the order in which they got it."""
+
+    def __init__(self, lock: compat.WorkLock) -> None:
+        self.lock, self.order = lock, []
+        self._threads = []
+
+    def start(self, name: str, waiting: str) -> None:
+        """Start a thread that notes its `name`, once it waits among the lock's threads or operators."""
+        held = self.lock if waiting == "_threads" else self.lock.hold_for_operator()
+        queue = getattr(self.lock, waiting)
+        count = len(queue)
+
+        def work() -> None:
+            with held:
+                self.order.append(name)
+
+        self._threads.append(threading.Thread(target=work))
+        self._threads[-1].start()
+        while len(queue) == count:
+            time.sleep(0.001)
+
+    def join(self) -> list[str]:
+        for thread in self._threads:
+            thread.join()
+        return self.order
+
+
+def test_an_operator_goes_before_the_threads_that_wait():
+    log = WorkLog(compat.WorkLock())
+    with log.lock:
+        log.start("first", "_threads")
+        log.start("second", "_threads")
+        assert not log.lock.is_wanted
+        log.start("operator", "_operators")
+        assert log.lock.is_wanted
+    assert log.join() == ["operator", "first", "second"]
+    assert not log.lock.is_wanted
+
+
+def test_a_thread_gives_way_between_two_steps():
+    log = WorkLog(compat.WorkLock())
+    with log.lock:
+        log.lock.give_way()  # nobody waits
+        log.start("preview", "_threads")
+        log.start("operator", "_operators")
+        log.lock.give_way()
+        log.order.append("next step")
+    assert log.join() == ["operator", "preview", "next step"]
+
+
+def test_an_interrupted_wait_leaves_the_lock_to_others(monkeypatch):
+    class Interrupted(threading.Event().__class__):
+        def wait(self, timeout=None):
+            raise KeyboardInterrupt
+
+    lock = compat.WorkLock()
+    with lock:
+        with monkeypatch.context() as patch:
+            patch.setattr(threading, "Event", Interrupted)
+            with pytest.raises(KeyboardInterrupt), lock.hold_for_operator():
+                pass
+        assert not lock.is_wanted
+    with lock.hold_for_operator():
+        pass

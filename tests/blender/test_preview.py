@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import io
 import shutil
+import threading
 import time
 
 import bpy
@@ -17,8 +18,8 @@ from job_scene import small_scene
 from stroke_builders import has_sound
 from touch_scene import save_scene, set_keys
 
-from hnf_blender import preview
-from hnf_blender.preview import controller, get_preview_facts, get_preview_icon
+from hnf_blender import compat, preview
+from hnf_blender.preview import controller, get_preview_facts, get_preview_icon, synthesis_thread
 from hnf_blender.preview.preview_state import PREVIEW
 from hnf_blender.preview.stroke_image import ImageStyle
 from hnf_blender.preview.synthesis_thread import RenderCache, SynthesisThread, read_current_bake, synthesise_preview
@@ -211,6 +212,35 @@ def test_background_synthesis_is_exact_and_the_newest_wins(stroke) -> None:
     finally:
         listener.stop()
     assert found["Along"].stamp == now(stroke).stamp
+    assert found["Along"].signal.samples.tobytes() == samples_of(stroke)
+
+
+def test_a_waiting_operator_interrupts_a_synthesis_which_starts_again(stroke, monkeypatch) -> None:
+    listener, wanted, begun, told = SynthesisThread(), now(stroke), threading.Event(), []
+    synthesise = synthesis_thread.synthesise_preview
+
+    def synthesise_until_told(current, style, cache, is_superseded):
+        begun.set()
+        if not told:
+            until = time.monotonic() + 60.0
+            while not is_superseded() and time.monotonic() < until:
+                time.sleep(0.001)
+            told.append(is_superseded())
+        return synthesise(current, style, cache, is_superseded)
+
+    monkeypatch.setattr(synthesis_thread, "synthesise_preview", synthesise_until_told)
+    found, until = {}, time.monotonic() + 60.0
+    try:
+        listener.request(wanted, ImageStyle())
+        assert begun.wait(60.0)
+        with compat.override_context(scene=bpy.context.scene):
+            assert told == [True]
+            assert listener.pop_results() == {}
+        while not found and time.monotonic() < until:
+            time.sleep(0.01)
+            found |= listener.pop_results()
+    finally:
+        listener.stop()
     assert found["Along"].signal.samples.tobytes() == samples_of(stroke)
 
 

@@ -7,8 +7,9 @@ The quality compares the mesh with the splats, and the views with each other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ class VertexObservations:
         return VertexObservations(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
-def observe_vertices(depth_views: Sequence[DepthView], vertices: Float, normals: Float) -> VertexObservations:
+def observe_vertices(depth_views: Iterable[DepthView], vertices: Float, normals: Float) -> VertexObservations:
     """Average over the depth views the height of the visible surface and its color at each vertex.
 
     A view's weight is opacity · cos θ₁ · cos θ₂, the angles between the view and the normals of the visible surface and
@@ -75,7 +76,7 @@ def observe_vertices(depth_views: Sequence[DepthView], vertices: Float, normals:
 
     Parameters
     ----------
-    depth_views : sequence of DepthView
+    depth_views : iterable of DepthView
         The views.
     vertices : ndarray, shape (V, 3)
         Positions [pixels].
@@ -490,7 +491,7 @@ def reconstruct_surface(
     views : int
         Number of orthographic depth views from all around.
     progress : callable, optional
-        Called before each stage; an exception that it raises cancels.
+        Called before each stage, and before each view of a stage; an exception that it raises cancels.
     render : callable
         Function that renders splats for a camera.
     where : str
@@ -527,7 +528,7 @@ def reconstruct_surface(
     depth_views = _render_depth_views(local, views, render, report)
     report("fusing", 0.75)
     grid, origin, keys = find_band(depth_views)
-    band = fuse_depth_views(depth_views, grid, origin, keys)
+    band = fuse_depth_views(_report_each(depth_views, partial(report, "fusing"), 0.75, 0.85), grid, origin, keys)
     report("meshing", 0.85)
     net = extract_surface(band.samples)
     if len(net.triangles) == 0:
@@ -535,7 +536,7 @@ def reconstruct_surface(
             "no view shows anything solid.", where=where, remedy="Its splats are too faint or too few; use fewer cells."
         )
     report("settling", 0.9)
-    vertices, triangles, observed = _refine_surface(depth_views, net.vertices + origin, net.triangles)
+    vertices, triangles, observed = _refine_surface(depth_views, net.vertices + origin, net.triangles, report)
     vertices, triangles, observed = _drop_small_components(vertices, triangles, observed)
     if len(triangles) == 0:
         raise SceneError("no surface is seen.", where=where, remedy="Use fewer cells, or more views.")
@@ -595,16 +596,29 @@ def _render_depth_views(
 
 
 def _refine_surface(
-    depth_views: list[DepthView], vertices: Float, triangles: Int
+    depth_views: list[DepthView], vertices: Float, triangles: Int, report: Callable[[str, float], None]
 ) -> tuple[Float, Int, VertexObservations]:
-    default_height = THICKNESS
-    for _ in range(REFINEMENT_ROUNDS):
+    default_height, step = THICKNESS, 0.05 / (REFINEMENT_ROUNDS + 1)
+
+    def observe(index: int, normals: Float) -> VertexObservations:
+        share = 0.9 + index * step
+        reported = _report_each(depth_views, partial(report, "settling"), share, share + step)
+        return observe_vertices(reported, vertices, normals)
+
+    for index in range(REFINEMENT_ROUNDS):
         normals = compute_vertex_normals(vertices, triangles)
-        vertices = refine_vertices(
-            vertices, normals, triangles, observe_vertices(depth_views, vertices, normals), default_height
-        )
+        vertices = refine_vertices(vertices, normals, triangles, observe(index, normals), default_height)
         default_height = 0.0
-    return vertices, triangles, observe_vertices(depth_views, vertices, compute_vertex_normals(vertices, triangles))
+    return vertices, triangles, observe(REFINEMENT_ROUNDS, compute_vertex_normals(vertices, triangles))
+
+
+def _report_each(
+    depth_views: Sequence[DepthView], report: Callable[[float], None], start: float, end: float
+) -> Iterator[DepthView]:
+    """Yield the views; before each, report the share of the work done, from `start` to `end`."""
+    for index, view in enumerate(depth_views):
+        report(start + (end - start) * index / len(depth_views))
+        yield view
 
 
 def _drop_small_components(
