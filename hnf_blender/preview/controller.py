@@ -172,6 +172,7 @@ def refresh(obj: Any, context: Any, *, wait: bool, first: bool = True) -> Previe
         except HnfError as error:
             _set_problem(name, str(error))
             return None
+        PREVIEW.requested[name] = result.stamp, result.style
         store_result(name, result)
         return result
     if PREVIEW.requested.get(name) != (current.stamp, style):
@@ -183,9 +184,10 @@ def refresh(obj: Any, context: Any, *, wait: bool, first: bool = True) -> Previe
 
 
 def store_result(name: str, result: PreviewResult) -> None:
-    """Store a stroke's signal and update its icon."""
+    """Store a stroke's signal, forget why it had none, and update its icon."""
     PREVIEW.results[name] = result
-    PREVIEW.requested[name] = result.stamp, result.style
+    PREVIEW.requested.setdefault(name, (result.stamp, result.style))
+    PREVIEW.problems.pop(name, None)
     _update_icon(name)
 
 
@@ -233,16 +235,27 @@ def update_playhead(obj: Any, scene: Any) -> bool:
 
 
 def collect_results() -> set[str]:
-    """Store the results of the synthesis thread; return the names of their strokes."""
+    """Store the signals and problems of the synthesis thread; return the names of the strokes with a new signal.
+
+    A signal that nobody waits for any more is discarded, and so is the problem of an earlier request. A stroke that
+    failed is not played either once it is ready.
+    """
     if PREVIEW.synthesis_thread is None:
         return set()
-    done = PREVIEW.synthesis_thread.pop_results()
-    for name, outcome in done.items():
-        if isinstance(outcome, str):
-            _set_problem(name, outcome)
-        else:
+    from .synthesis_thread import Failure
+
+    stored = set()
+    for name, outcome in PREVIEW.synthesis_thread.pop_results().items():
+        if name not in PREVIEW.requested:
+            continue
+        if not isinstance(outcome, Failure):
             store_result(name, outcome)
-    return set(done)
+            stored.add(name)
+        elif PREVIEW.requested[name][0] == outcome.stamp:
+            _set_problem(name, outcome.why)
+            if PREVIEW.play_when_ready == name:
+                PREVIEW.play_when_ready = ""
+    return stored
 
 
 def play(name: str, scene: Any) -> None:

@@ -105,7 +105,7 @@ def _load_bake(obj: Any, digest: str) -> StrokeBake:
 
 
 CACHE_LIMIT_BYTES = 400_000_000
-"""Memory limit of the cached renders [bytes]; one minute of stroke takes 70 MB, its height profile 300 MB more."""
+"""Memory limit of the cached renders [bytes]; one minute of stroke takes 37 MB, over a height profile 44 MB."""
 
 
 @dataclass(frozen=True)
@@ -229,8 +229,15 @@ def _synthesise_bake(
     )  # fmt: skip
 
 
-Outcome = PreviewResult | str
-"""Result, or text of why there is none."""
+@dataclass(frozen=True)
+class Failure:
+    """Text of why there is no signal of the bake with this `stamp`."""
+
+    stamp: str
+    why: str
+
+
+Outcome = PreviewResult | Failure
 
 
 class SynthesisThread:
@@ -300,10 +307,10 @@ class SynthesisThread:
             except Superseded:
                 outcome = None
             except HnfError as error:
-                outcome = str(error)
+                outcome = Failure(current.stamp, str(error))
             except Exception as error:  # An unexpected error must not end the thread.
                 traceback.print_exc()
-                outcome = f"internal error ({error!r}). Please report it."
+                outcome = Failure(current.stamp, f"internal error ({error!r}). Please report it.")
             with self._condition:
                 self._busy = False
                 if outcome is not None:
@@ -321,5 +328,7 @@ class SynthesisThread:
 
 def _count_bytes(rendered: RenderedStroke) -> int:
     prepared = rendered.prepared
-    arrays = (prepared.amplitude, prepared.motion, prepared.audible, rendered.samples)
+    arrays = [prepared.amplitude, prepared.tone_amplitude, prepared.motion, prepared.audible, rendered.samples]
+    if rendered.stroke.profile is not None:
+        arrays += [rendered.stroke.profile.height, rendered.stroke.profile.seam]
     return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))

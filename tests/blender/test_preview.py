@@ -22,11 +22,18 @@ from hnf_blender import compat, preview
 from hnf_blender.preview import controller, get_preview_facts, get_preview_icon, synthesis_thread
 from hnf_blender.preview.preview_state import PREVIEW
 from hnf_blender.preview.stroke_image import ImageStyle
-from hnf_blender.preview.synthesis_thread import RenderCache, SynthesisThread, read_current_bake, synthesise_preview
+from hnf_blender.preview.synthesis_thread import (
+    Failure,
+    RenderCache,
+    SynthesisThread,
+    read_current_bake,
+    synthesise_preview,
+)
 from hnf_blender.preview.timeline_playback import PlayheadFollower, list_placed_signals
 from hnf_blender.state.status_tracker import refresh_status
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY, SCHEMA, StrokeBake, load_bake, remove_bake, store_bake
 from hnf_core.errors import FileError, StrokeError
+from hnf_core.field.stroke import HeightProfile
 
 
 @pytest.fixture
@@ -265,6 +272,77 @@ def test_the_stroke_at_hand_does_not_wait_for_the_others(stroke) -> None:
     assert order[0] == "Along"
     assert sorted(order) == ["A", "Along", "B", "C"]
     assert {heard.signal.samples.tobytes() for heard in found.values()} == {samples_of(stroke)}
+
+
+def test_the_cache_counts_the_height_profile(stroke) -> None:
+    cache = RenderCache()
+    synthesise_preview(now(stroke), ImageStyle(), cache)
+    (rendered,) = cache.items.values()
+    height = np.zeros(1000)
+    counted = [
+        synthesis_thread._count_bytes(
+            dataclasses.replace(rendered, stroke=dataclasses.replace(rendered.stroke, profile=profile))
+        )
+        for profile in (None, HeightProfile(1e-4, 0.0, height, 2e-4), HeightProfile(1e-4, 0.0, height, 2e-4, height))
+    ]
+    assert np.diff(counted).tolist() == [height.nbytes, height.nbytes]
+
+
+class FinishedThread:
+    """Synthesis thread whose outcomes are given."""
+
+    is_busy = False
+
+    def __init__(self, outcome):
+        self._outcome = outcome
+
+    def pop_results(self):
+        return {"Along": self._outcome}
+
+    def stop(self, *, wait=True):
+        pass
+
+
+def collect(outcome, requested):
+    """Collect an outcome after `requested` was asked for."""
+    if requested is not None:
+        PREVIEW.requested["Along"] = requested
+    PREVIEW.synthesis_thread = FinishedThread(outcome)
+    try:
+        return controller.collect_results()
+    finally:
+        PREVIEW.synthesis_thread = None
+
+
+def test_a_stroke_that_failed_is_not_played_with_its_earlier_signal(stroke) -> None:
+    controller.refresh(stroke, bpy.context, wait=True)
+    PREVIEW.play_when_ready = "Along"
+    assert collect(Failure("newer", "It broke."), ("newer", ImageStyle())) == set()
+    assert (PREVIEW.problems["Along"], PREVIEW.play_when_ready) == ("It broke.", "")
+
+
+def test_only_the_newest_request_tells_of_a_problem(stroke) -> None:
+    first = controller.refresh(stroke, bpy.context, wait=True)
+    PREVIEW.play_when_ready = "Along"
+    newer = ("newer", first.style)
+    assert collect(Failure("older", "It broke."), newer) == set()
+    assert (PREVIEW.problems, PREVIEW.play_when_ready) == ({}, "Along")
+    assert collect(first, newer) == {"Along"}
+    assert PREVIEW.requested["Along"] == newer
+    assert controller.update_facts("Along", bpy.context.scene).busy
+    assert collect(dataclasses.replace(first, stamp="newer"), newer) == {"Along"}
+    assert not controller.update_facts("Along", bpy.context.scene).busy
+
+
+def test_a_stored_signal_ends_its_problem_and_an_unwanted_one_is_not_stored(stroke) -> None:
+    first = controller.refresh(stroke, bpy.context, wait=True)
+    PREVIEW.problems["Along"] = "It broke."
+    assert collect(first, (first.stamp, first.style)) == {"Along"}
+    assert PREVIEW.problems == {}
+    remove_bake(stroke)
+    assert controller.refresh(stroke, bpy.context, wait=False) is None
+    assert collect(first, None) == set()
+    assert (PREVIEW.results, PREVIEW.problems) == ({}, {"Along": "Not baked yet."})
 
 
 def test_playing_without_a_device_says_so(stroke) -> None:
