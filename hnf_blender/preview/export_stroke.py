@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hnf_core.errors import FileError, SceneError
-from hnf_core.export.provenance import SourceStroke, read_source_stroke
+from hnf_core.export.provenance import SourceStroke, read_source_stroke, write_source_sidecar
 from hnf_core.export.wav import encode_wav
 from hnf_core.files import write_bytes
 from hnf_core.signal import Signal
@@ -143,7 +143,7 @@ def get_export_folder(scene: Any) -> Path:
 
 
 def export_stroke(obj: Any, context: Any, format_name: str) -> ExportResult:
-    """Write a stroke's signal into the export folder, never over another stroke's file.
+    """Write a stroke's signal into the export folder, never over another stroke's file or one of unknown origin.
 
     Full scale is the largest acceleration of the scene's actuator. Formats that can contain a surface get the touched
     surface with its baked result.
@@ -182,19 +182,23 @@ def export_stroke(obj: Any, context: Any, format_name: str) -> ExportResult:
 
 
 def export_action(obj: Any, context: Any) -> Path:
-    """Write a stroke's action as a table into the export folder; return its path. Raises HnfError."""
+    """Write a stroke's action as a table into the export folder, never over a file that is not its own.
+
+    Returns the path. Raises HnfError.
+    """
     from hnf_core.action.action import write_action_csv
 
     from ..bridge.scene.object_size import get_metres_per_unit
     from ..bridge.stroke.surface_export import read_touched_surface
-    from ..touch.output_files import make_file_stem
 
     scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
     action = read_touched_surface(scene, depsgraph, get_metres_per_unit(scene), stroke=obj).action
     if action is None:
         raise SceneError("it touches no object of this scene.", where=f"stroke '{obj.name}'")
-    path = get_export_folder(scene) / f"{make_file_stem(obj.name)}-action.csv"
+    author = SourceStroke(obj.name, _get_blend_name(obj))
+    path = _find_free_path(get_export_folder(scene), author, "-action.csv")
     write_action_csv(path, action)
+    write_source_sidecar(path, "action", author)
     return path
 
 
@@ -206,9 +210,10 @@ def _get_blend_name(obj: Any) -> str:
 
 
 def _find_free_path(folder: Path, author: SourceStroke, ending: str) -> Path:
-    """Return the path for the stroke `author` in `folder`, without overwriting another stroke's file.
+    """Return the path for the stroke `author` in `folder`, which is free or holds an earlier file of that stroke.
 
-    A file of another .blend adds this .blend's name to the path, a file of another stroke a number.
+    A file of another .blend adds this .blend's name to the path; a file of another stroke, or of unknown origin, adds
+    a number.
     """
     from ..touch.output_files import iter_numbered_stems, make_file_stem
 
@@ -217,7 +222,12 @@ def _find_free_path(folder: Path, author: SourceStroke, ending: str) -> Path:
     if existing is not None and existing.blend and existing.blend != author.blend:
         stem = f"{stem}-{make_file_stem(Path(author.blend).stem) if author.blend else 'unsaved'}"
     paths = (folder / f"{numbered_stem}{ending}" for numbered_stem in iter_numbered_stems(stem))
-    return next(path for path in paths if read_source_stroke(path) in (None, author, SourceStroke(author.stroke, "")))
+    return next(path for path in paths if _is_free(path, author))
+
+
+def _is_free(path: Path, author: SourceStroke) -> bool:
+    source = read_source_stroke(path)
+    return not path.exists() if source is None else source in (author, SourceStroke(author.stroke, ""))
 
 
 def _make_options(obj: Any, context: Any, form: Format) -> ExportOptions:

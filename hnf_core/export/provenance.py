@@ -6,6 +6,7 @@ numbers stand for, where the signal comes from, and the hash of the bytes that i
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ from .options import (
     ExportOptions,
     ImportOptions,
 )
-from .wav import UNITS
+from .wav import UNITS, read_wav_channels
 
 SOFTWARE = f"Haptic Neural Fields {__version__}"
 _RECORD_SCHEMA = 1
@@ -211,17 +212,32 @@ def write_sidecar(
         If the sidecar cannot be written.
     """
     record = {
+        **_describe_file(path, format_name, blend),
+        "duration_s": signal.duration_s,
+        **{name: value for name, value in make_provenance_record(signal, options).items() if name != "schema"},
+        "loss": loss,
+    }
+    write_json(get_sidecar_path(path), record)
+
+
+def write_source_sidecar(path: Path, format_name: str, source: SourceStroke) -> None:
+    """Write the sidecar of a file that holds no signal: its bytes, and the stroke that it was made from.
+
+    Raises FileError if it cannot be written.
+    """
+    record = {**_describe_file(path, format_name, source.blend), "provenance": {"stroke": source.stroke}}
+    write_json(get_sidecar_path(path), record)
+
+
+def _describe_file(path: Path, format_name: str, blend: str) -> dict[str, Any]:
+    return {
         "schema": SIDECAR_SCHEMA,
         "file": path.name,
         "hash": content_hash(path.read_bytes()),
         "format": format_name,
         "software": SOFTWARE,
         **({"blend": blend} if blend else {}),
-        "duration_s": signal.duration_s,
-        **{name: value for name, value in make_provenance_record(signal, options).items() if name != "schema"},
-        "loss": loss,
     }
-    write_json(get_sidecar_path(path), record)
 
 
 def read_sidecar_provenance(path: Path) -> tuple[int, dict[str, str]] | None:
@@ -259,9 +275,17 @@ def _read_matching_sidecar(path: Path) -> dict[str, Any]:
 
 
 def read_source_stroke(path: Path) -> SourceStroke | None:
-    """Return the stroke that `path` was made from, according to its sidecar; None if unknown."""
-    try:
+    """Return the stroke that `path` was made from, by its sidecar or a WAV's own comment; None if unknown.
+
+    A WAV that names another stroke than its sidecar has replaced the file that the sidecar describes.
+    """
+    source = None
+    with contextlib.suppress(FileError, KeyError, TypeError):
         record = read_json(get_sidecar_path(path))
-        return SourceStroke(str(record["provenance"]["stroke"]), str(record.get("blend", "")))
-    except (FileError, KeyError, TypeError):
-        return None
+        source = SourceStroke(str(record["provenance"]["stroke"]), str(record.get("blend", "")))
+    if path.suffix.lower() == ".wav":
+        with contextlib.suppress(FileError):
+            stroke = read_wav_channels(path)[0].provenance.get("stroke")
+            if stroke is not None and (source is None or source.stroke != stroke):
+                return SourceStroke(stroke, "")
+    return source

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -20,6 +21,8 @@ from hnf_core.export.convert import import_signal
 from hnf_core.export.formats import FORMATS
 from hnf_core.export.hjif import read_hjif
 from hnf_core.export.options import ImportOptions
+from hnf_core.export.wav import read_wav, write_wav
+from hnf_core.signal import Signal
 
 WORDS = [choice.format_name for choice in FORMAT_CHOICES]
 
@@ -97,7 +100,7 @@ def test_the_format_given_counts_more_than_the_panel_s(folder) -> None:
 
 def test_the_action_of_a_stroke_is_a_table_that_is_read(folder) -> None:
     assert bpy.ops.hnf.export_action() == {"FINISHED"}
-    assert [path.name for path in folder.iterdir()] == ["along-action.csv"]
+    assert {path.name for path in folder.iterdir()} == {"along-action.csv", "along-action.csv.json"}
     read, baked = read_action_csv(folder / "along-action.csv"), load_bake(stroke()).stroke.action
     np.testing.assert_allclose(read.speed, baked.speed, atol=1e-9)
     np.testing.assert_allclose(read.direction, baked.direction, atol=1e-9)
@@ -169,6 +172,39 @@ def test_no_stroke_s_file_takes_the_place_of_another_s(folder, tmp_path) -> None
     (sentence,) = PREVIEW.exported
     assert sentence.startswith("along-1-kitchen.npz: ")
     assert (folder / "along-1.npz").read_bytes() == before
+
+
+def test_the_action_table_of_a_stroke_replaces_only_its_own(folder) -> None:
+    twin = stroke().copy()
+    twin.name, stroke().name = "along 1", "Along-1"
+    bpy.context.scene.collection.objects.link(twin)
+    bpy.context.view_layer.update()
+    for _ in range(2):
+        for name in ("Along-1", "along 1"):
+            bpy.context.view_layer.objects.active = bpy.data.objects[name]
+            assert bpy.ops.hnf.export_action() == {"FINISHED"}
+        assert {path.name for path in folder.glob("*.csv")} == {"along-1-action.csv", "along-1-2-action.csv"}
+
+
+def test_a_file_of_unknown_origin_is_not_overwritten(folder) -> None:
+    """A recording of the artist's own, say; a WAV of `hnf touch` says itself whose it is."""
+    signal = get_current_signal(stroke(), bpy.context)
+    folder.mkdir()
+    for name in ("along.csv", "along-action.csv"):
+        (folder / name).write_bytes(b"mine")
+    write_wav(folder / "along.wav", Signal(signal.samples, signal.sample_rate, seed=0))
+    assert bpy.ops.hnf.export(format="csv") == {"FINISHED"}
+    assert bpy.ops.hnf.export(format="wav") == {"FINISHED"}
+    assert bpy.ops.hnf.export_action() == {"FINISHED"}
+    assert {path.stem for path in folder.glob("*.csv")} == {"along", "along-2", "along-action", "along-2-action"}
+    assert (folder / "along.csv").read_bytes() == (folder / "along-action.csv").read_bytes() == b"mine"
+    assert read_wav(folder / "along.wav").provenance.get("stroke") is None
+    (folder / "along-2.wav.json").unlink()
+    assert bpy.ops.hnf.export(format="wav") == {"FINISHED"}
+    assert {path.stem for path in folder.glob("*.wav")} == {"along", "along-2"}
+    write_wav(folder / "along-2.wav", replace(signal, provenance={**signal.provenance, "stroke": "Another"}))
+    assert bpy.ops.hnf.export(format="wav") == {"FINISHED"}
+    assert {path.stem for path in folder.glob("*.wav")} == {"along", "along-2", "along-3"}
 
 
 def test_nothing_is_told_of_another_file(folder) -> None:
