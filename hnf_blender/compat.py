@@ -13,7 +13,7 @@ from typing import Any
 class WorkLock:
     """Lock of everything that computes: handed on in the order in which it was asked for, to an operator first.
 
-    Threads take it with `with`, an operator with `hold_for_operator`. It is not reentrant.
+    Threads take it with `with`, an operator with `lock_for_operator`. It is not reentrant.
     """
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class WorkLock:
             self._acquire(self._threads)
 
     @contextmanager
-    def hold_for_operator(self) -> Iterator[None]:
+    def lock_for_operator(self) -> Iterator[None]:
         """Hold the lock in Blender's main thread, before all threads that wait."""
         self._acquire(self._operators)
         try:
@@ -105,7 +105,7 @@ def override_context(**members: Any) -> Iterator[None]:
     """
     import bpy
 
-    with WORK_LOCK.hold_for_operator(), bpy.context.temp_override(**members):
+    with WORK_LOCK.lock_for_operator(), bpy.context.temp_override(**members):
         yield
 
 

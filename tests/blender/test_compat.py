@@ -167,7 +167,7 @@ class WorkLog:
 
     def start(self, name: str, waiting: str) -> None:
         """Start a thread that notes its `name`, once it waits among the lock's threads or operators."""
-        held = self.lock if waiting == "_threads" else self.lock.hold_for_operator()
+        held = self.lock if waiting == "_threads" else self.lock.lock_for_operator()
         queue = getattr(self.lock, waiting)
         count = len(queue)
 
@@ -218,8 +218,8 @@ def test_an_interrupted_wait_leaves_the_lock_to_others(monkeypatch):
     with lock:
         with monkeypatch.context() as patch:
             patch.setattr(threading, "Event", Interrupted)
-            with pytest.raises(KeyboardInterrupt), lock.hold_for_operator():
+            with pytest.raises(KeyboardInterrupt), lock.lock_for_operator():
                 pass
         assert not lock.is_wanted
-    with lock.hold_for_operator():
+    with lock.lock_for_operator():
         pass

@@ -174,7 +174,7 @@ def test_no_stroke_s_file_takes_the_place_of_another_s(folder, tmp_path) -> None
     assert (folder / "along-1.npz").read_bytes() == before
 
 
-def test_the_action_table_of_a_stroke_replaces_only_its_own(folder) -> None:
+def test_an_action_table_replaces_only_its_own(folder) -> None:
     twin = stroke().copy()
     twin.name, stroke().name = "along 1", "Along-1"
     bpy.context.scene.collection.objects.link(twin)

@@ -222,7 +222,7 @@ def test_background_synthesis_is_exact_and_the_newest_wins(stroke) -> None:
     assert found["Along"].signal.samples.tobytes() == samples_of(stroke)
 
 
-def test_a_waiting_operator_interrupts_a_synthesis_which_starts_again(stroke, monkeypatch) -> None:
+def test_a_waiting_operator_restarts_a_synthesis(stroke, monkeypatch) -> None:
     listener, wanted, begun, told = SynthesisThread(), now(stroke), threading.Event(), []
     synthesise = synthesis_thread.synthesise_preview
 
@@ -314,7 +314,7 @@ def collect(outcome, requested):
         PREVIEW.synthesis_thread = None
 
 
-def test_a_stroke_that_failed_is_not_played_with_its_earlier_signal(stroke) -> None:
+def test_a_failed_stroke_is_not_played(stroke) -> None:
     controller.refresh(stroke, bpy.context, wait=True)
     PREVIEW.play_when_ready = "Along"
     assert collect(Failure("newer", "It broke."), ("newer", ImageStyle())) == set()
@@ -334,7 +334,7 @@ def test_only_the_newest_request_tells_of_a_problem(stroke) -> None:
     assert not controller.update_facts("Along", bpy.context.scene).busy
 
 
-def test_a_stored_signal_ends_its_problem_and_an_unwanted_one_is_not_stored(stroke) -> None:
+def test_a_stored_signal_ends_its_problem(stroke) -> None:
     first = controller.refresh(stroke, bpy.context, wait=True)
     PREVIEW.problems["Along"] = "It broke."
     assert collect(first, (first.stamp, first.style)) == {"Along"}
