@@ -120,7 +120,7 @@ class PreviousRun:
         """Return job name → report entry of an earlier stroke that is still valid: same input hash, files intact.
 
         A job gets the entry of its own name, else one that no other job has, as after renaming: each file belongs to
-        one stroke, or plots would overwrite each other. `folder` is None if there are no earlier results.
+        one stroke, or pictures would overwrite each other. `folder` is None if there are no earlier results.
         """
         if folder is None:
             return {}
@@ -217,8 +217,8 @@ def find_orphaned_files(
 def _separate_shared_wavs(strokes: Iterable[StrokeReport]) -> list[StrokeReport]:
     """Return the report entries so that no two share a WAV file.
 
-    Older versions let equal strokes share a WAV and overwrite each other's plots. The first keeps the files, and its
-    plot is drawn again.
+    Older versions let equal strokes share a WAV and overwrite each other's pictures. The first keeps the files, and its
+    picture is drawn again.
     """
     entries = list(strokes)
     count = Counter(entry.wav for entry in entries)
@@ -254,7 +254,7 @@ RENDERS_PER_CLOSEUP = 2
 """Maximum number of renders of a close-up; see `CloseUpRenderer`."""
 PROCEDURAL_CLOSEUP_SECONDS, IMAGE_CLOSEUP_SECONDS = 0.7, 0.2
 """Time of a close-up with all pixels, and of one for which the first pass nearly suffices [s]."""
-PREDICTION_SECONDS, PLOT_SECONDS, SYNTHESIS_SECONDS = 0.1, 0.5, 0.4
+PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.1, 0.5, 0.4
 """Rough times on two cores, for the estimate only [s]."""
 TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
 """Assumed length of a stroke's path, and distance between patches [m]."""
@@ -378,8 +378,8 @@ class Plan:
     notes : tuple of str
     probes : tuple of PlannedQuery
         Touch queries.
-    pictures : int
-        Upper bound for the plots of fresh strokes that are drawn again.
+    redrawn_pictures : int
+        Upper bound for the pictures of fresh strokes that are drawn again.
     again : RerunReason
         Reason why the .blend of an earlier run with fresh strokes is written again.
     with_pictures : bool
@@ -392,27 +392,28 @@ class Plan:
     failed: tuple[Failed, ...]
     notes: tuple[str, ...]
     probes: tuple[PlannedQuery, ...] = ()
-    pictures: int = 0
+    redrawn_pictures: int = 0
     again: RerunReason = RerunReason.NOTHING
     with_pictures: bool = True
 
     @property
-    def plots(self) -> int:
+    def pictures(self) -> int:
         """Upper bound for the pictures of strokes that are drawn."""
-        return len(self.needed) + self.pictures if self.with_pictures else 0
+        return len(self.needed) + self.redrawn_pictures if self.with_pictures else 0
 
     @property
     def renders(self) -> int:
         """Upper bound for the number of renders.
 
         Each close-up takes two, and each slot with a relief one more, which chooses the sampling. The views in the
-        plots are shared, but each stroke may need one of its own.
+        pictures are shared, but each stroke may need one of its own.
         """
         slots = [slot for entry in self.needed for slot in entry.slots]
         slots += [query.slot for query in self.probes if query.slot is not None and query.close_ups]
-        plot_views = MAX_STROKE_VIEWS * self.plots + min(1, self.plots) + self.plots // MIN_SHARING_STROKES
+        picture_views = MAX_STROKE_VIEWS * self.pictures + min(1, self.pictures)
+        picture_views += self.pictures // MIN_SHARING_STROKES
         looks = sum(slot.route is Route.MEASURED for slot in slots)
-        return RENDERS_PER_CLOSEUP * self.close_ups + looks + plot_views
+        return RENDERS_PER_CLOSEUP * self.close_ups + looks + picture_views
 
     @property
     def close_ups(self) -> int:
@@ -432,7 +433,7 @@ class Plan:
             query.close_ups * estimate_closeup_seconds(() if query.slot is None else (query.slot,))
             for query in self.probes
         )
-        total_stroke_seconds = len(self.needed) * SYNTHESIS_SECONDS + self.plots * PLOT_SECONDS
+        total_stroke_seconds = len(self.needed) * SYNTHESIS_SECONDS + self.pictures * PICTURE_SECONDS
         return closeup_seconds + self.predictions * PREDICTION_SECONDS + total_stroke_seconds
 
     def as_json(self) -> str:
@@ -442,23 +443,24 @@ class Plan:
             "predictions_at_most": self.predictions,
             "seconds": round(self.seconds, 1),
         }
-        record = {**asdict(self), "estimate": estimate}
-        return json.dumps(record, indent=1, ensure_ascii=False)
+        keys = {"redrawn_pictures": "pictures"}
+        record = {keys.get(name, name): value for name, value in asdict(self).items()}
+        return json.dumps({**record, "estimate": estimate}, indent=1, ensure_ascii=False)
 
     def _format_cost(self) -> str:
         """Format the upper bounds of close-ups, renders and predictions, and the estimated time."""
         parts = [pluralize(self.close_ups, "close-up")]
         if self.with_pictures:
-            parts.append(pluralize(self.plots, "picture"))
+            parts.append(pluralize(self.pictures, "picture"))
         if self.predictions:
             parts.append(f"{pluralize(self.predictions, 'relief')} estimated from pictures")
         listed = " and ".join(filter(None, [", ".join(parts[:-1]), parts[-1]]))
         return f"at most {listed}, about {self.seconds:.0f} s"
 
-    def _format_plot_count(self) -> str:
-        if not self.pictures:
+    def _format_picture_count(self) -> str:
+        if not self.redrawn_pictures:
             return ""
-        return f", and at most {pluralize(self.pictures, 'picture')}, where what it shows is not what it showed"
+        return f", and at most {pluralize(self.redrawn_pictures, 'picture')}, where what it shows is not what it showed"
 
     def as_text(self) -> str:
         """Return the plan as text."""
@@ -481,7 +483,7 @@ class Plan:
         lines += ["Up to date:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
         if self.again:
             lines.append(
-                f"  {RERUN_MESSAGES[self.again]}: the baked .blend is written anew{self._format_plot_count()}."
+                f"  {RERUN_MESSAGES[self.again]}: the baked .blend is written anew{self._format_picture_count()}."
             )
         lines += ["Skipped:", *(f"  {entry.what}: {entry.why}" for entry in self.skipped)] if self.skipped else []
         lines += ["Problems:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []
@@ -657,7 +659,7 @@ def describe_shader_reliefs(session: Session, gathered: GatheredJobs) -> list[st
 
 
 def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, source: str) -> Plan:
-    """Make the plan of a run, without rendering. Rays are cast if the plan is all that was asked for.
+    """Make the plan of a run, without rendering; rays are cast.
 
     `previous` is the earlier run in the output folder, `source` the hash of the scene's files.
     """
@@ -671,9 +673,7 @@ def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, s
         slots = session.get_facts(find_object(session.scene, job.object_name)).materials
         shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
         why = "changed since the last run" if previous.has_name(job.name) else "not baked yet"
-        routes = plan_slots(session, job)
-        if session.request.plan_only:
-            routes = add_mesh_relief(routes, _find_mesh_waves(session, job))
+        routes = add_mesh_relief(plan_slots(session, job), _find_mesh_waves(session, job))
         needed.append(PlannedBake(job.name, job.object_name, shader, estimate_max_patches(length), why, routes))
     folder, rerun_reason = session.request.out, RerunReason.NOTHING
     if fresh and folder is not None:
@@ -681,14 +681,14 @@ def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, s
         rerun_reason = previous.get_rerun_reason(gathered.jobs, source, folder / get_blend_name(session), pictured)
     to_bake = [job for job in gathered.jobs if job.name not in fresh_entries]
     notes = (*gathered.notes, *describe_stated_heights(session, to_bake))
-    # If the file is the same, only a plot without a key may be outdated.
-    pictures = sum(
+    # If the file is the same, only a picture without a key may be outdated.
+    redrawn_pictures = sum(
         session.request.pictures and (previous.source != source or not entry.picture_key)
         for entry in fresh_entries.values()
     )
     return Plan(
         tuple(needed), tuple(fresh), tuple(gathered.skipped), tuple(gathered.failed), notes,
-        pictures=pictures, again=rerun_reason, with_pictures=session.request.pictures,
+        redrawn_pictures=redrawn_pictures, again=rerun_reason, with_pictures=session.request.pictures,
     )  # fmt: skip
 
 

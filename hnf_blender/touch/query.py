@@ -457,7 +457,7 @@ def add_queries(session: Session, plan: Plan) -> Plan:
             continue
         slot, plans = point.patch.slot, plan_object_slots(session, touched.obj)
         route = plans[slot] if slot < len(plans) else None
-        if route is not None and session.request.plan_only:
+        if route is not None:
             (route,) = add_mesh_relief([route], find_mesh_waves(session, touched.obj, [point.patch]))
         close_ups = 0 if is_cached else 1
         planned.append(

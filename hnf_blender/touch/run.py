@@ -132,7 +132,7 @@ def run(request: TouchRequest) -> int:
     """Run a request and print its results; return the exit code. Raises HnfError if it cannot be started."""
     with _interruptible():
         if request.plan_only:  # nothing is written, so that no folder is needed or locked
-            plan = _prepare(request).plan
+            plan = _plan(_prepare(request))
             print(plan.as_json() if request.as_json else plan.as_text())
             return 1 if plan.failed else 0
         with folder_lock(request.folder):
@@ -141,7 +141,7 @@ def run(request: TouchRequest) -> int:
 
 @dataclass(frozen=True)
 class _Prepared:
-    """Everything that is known before rendering: the open scene, its strokes, the earlier run and the plan.
+    """Everything that is known before planning or rendering: the open scene, its strokes and the earlier run.
 
     Attributes
     ----------
@@ -152,9 +152,8 @@ class _Prepared:
     source : str
         Hash of the scene's file and these.
     previous : PreviousRun
-    plan : Plan
-    open_s, plan_s : float
-        Time of opening and planning [s].
+    open_s, gather_s : float
+        Time of opening the scene and of gathering all else [s].
     """
 
     session: Session
@@ -162,13 +161,12 @@ class _Prepared:
     files: list[str]
     source: str
     previous: PreviousRun
-    plan: Plan
     open_s: float
-    plan_s: float
+    gather_s: float
 
 
 def _prepare(request: TouchRequest) -> _Prepared:
-    """Open the scene, list its strokes, and make the plan."""
+    """Open the scene, list its strokes, and read the earlier run."""
     started = time.monotonic()
     cache = None if request.out is None else request.out / CACHE_FOLDER_NAME
     scene = open_named_scene("touch", request.scene, cache, write_cache=not request.plan_only)
@@ -176,15 +174,17 @@ def _prepare(request: TouchRequest) -> _Prepared:
     session, instance_notes = _make_session(scene, request)
     gathered = skip_strokes(session) if request.has_only_queries else gather_jobs(session)
     gathered.notes += instance_notes
-    if request.plan_only:
-        gathered.notes += describe_shader_reliefs(session, gathered)
     files = list_external_files(get_scene_path(request))
     source = hash_source_files(get_scene_path(request), files)
     previous = read_previous_run(request.out)
-    plan = make_plan(session, gathered, previous, source)
-    if request.queries:
-        plan = add_queries(session, plan)
-    return _Prepared(session, gathered, files, source, previous, plan, opened - started, time.monotonic() - opened)
+    return _Prepared(session, gathered, files, source, previous, opened - started, time.monotonic() - opened)
+
+
+def _plan(prepared: _Prepared) -> Plan:
+    session, gathered = prepared.session, prepared.gathered
+    gathered.notes += describe_shader_reliefs(session, gathered)
+    plan = make_plan(session, gathered, prepared.previous, prepared.source)
+    return add_queries(session, plan) if session.request.queries else plan
 
 
 def _run_request(request: TouchRequest) -> int:
@@ -192,7 +192,7 @@ def _run_request(request: TouchRequest) -> int:
     prepared = _prepare(request)
     session, gathered = prepared.session, prepared.gathered
     report = _new_report(session, gathered, prepared.files)
-    report.timings = {"open_s": round(prepared.open_s, 3), "plan_s": round(prepared.plan_s, 3)}
+    report.timings = {"open_s": round(prepared.open_s, 3), "gather_s": round(prepared.gather_s, 3)}
     bar = ProgressBar()
     try:
         if request.has_only_queries:

@@ -22,6 +22,7 @@ from touch_scene import (
 
 from hnf_blender.bridge.scene.stored_data import TOKEN_ATTRIBUTE, read_tokens
 from hnf_blender.touch import output_files
+from hnf_blender.touch.bake_plan import PreviousRun
 from hnf_core.export.plots.stroke_figure import write_stroke_figure
 
 
@@ -336,6 +337,18 @@ def test_the_plan_says_what_and_does_nothing(tmp_path, capsys) -> None:
     capsys.readouterr()
     touch(scene, out, "--plan")
     assert "Up to date:" in capsys.readouterr().out
+
+
+def test_a_run_reads_earlier_results_once(tmp_path, monkeypatch) -> None:
+    ridge_plate()
+    line_stroke("Along")
+    scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
+    assert touch(scene, out)[0] == 0
+    read = []
+    find_fresh = PreviousRun.find_fresh
+    monkeypatch.setattr(PreviousRun, "find_fresh", lambda *given: read.append(1) or find_fresh(*given))
+    code, report = touch(scene, out)
+    assert (code, report["strokes"][0]["fresh"], len(read)) == (0, True, 1)
 
 
 @pytest.mark.parametrize(("height", "unusual"), [(1e-7, True), (60e-6, False), (0.01, True)])
