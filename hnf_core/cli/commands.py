@@ -7,7 +7,6 @@ train`.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -131,9 +130,7 @@ def require_torch(what: str) -> Iterator[None]:
         ) from error
 
 
-def check_seed_and_weights(arguments: argparse.Namespace) -> None:
-    """Check --seed and --out. Raises UsageError if one of them is invalid."""
-    if arguments.seed < 0:
-        raise UsageError("--seed must be a whole number from 0.")
-    if arguments.out.suffix != ".safetensors":
-        raise UsageError(f"--out {arguments.out.name}: weights are .safetensors files.", remedy="Name it so.")
+def check_weights_name(out: Path) -> None:
+    """Check --out of trained weights. Raises UsageError unless it ends in .safetensors."""
+    if out.suffix != ".safetensors":
+        raise UsageError(f"--out {out.name}: weights are .safetensors files.", remedy="Name it so.")

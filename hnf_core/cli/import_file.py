@@ -22,7 +22,7 @@ from ..export.formats import FOREIGN_LOADERS, SUFFIXES, format_of, format_of_fil
 from ..export.options import DEFAULT_RENDER_RATE_HZ, ImportOptions
 from ..export.provenance import get_sidecar_path, read_sidecar_loss
 from ..export.wav import read_wav_scaled, write_wav
-from .commands import HELP
+from .commands import HELP, parse_seed
 from .export import add_scale_options, check_output, get_scale
 
 REPORTED_PROVENANCE = ("scale", "assumed", "carrier", "ignored", "modality", "doubt")
@@ -45,7 +45,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "--rate", type=float, default=DEFAULT_RENDER_RATE_HZ, metavar="HZ",
         help=f"of what is rendered (default {DEFAULT_RENDER_RATE_HZ:g}); samples keep their own",
     )  # fmt: skip
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="draws where the sine starts (default 0)")
+    parser.add_argument(
+        "--seed", type=parse_seed, default=0, metavar="N", help="draws where the sine starts (default 0)"
+    )
     parser.add_argument("--channel", type=int, metavar="N", help="which channel of a file that has several, from 1")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser

@@ -40,7 +40,7 @@ from ..field.live.synthesis import create_live_synthesis
 from ..material.hnf_file import HNF_SUFFIX
 from ..material.probe import PROBE_NAMES
 from ..material.ranking import find_material
-from .commands import HELP
+from .commands import HELP, parse_seed
 
 METER_MIN_DB = -60.0
 PLAIN_LINE_INTERVAL_S = 5.0
@@ -186,7 +186,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         help="what --input touches: of several, a message says which, from 0",
     )  # fmt: skip
     parser.add_argument("--probe", choices=PROBE_NAMES, help="what --input touches with (default pen)")
-    parser.add_argument("--seed", type=int, help="seed of --input's noise (default 0)")
+    parser.add_argument("--seed", type=parse_seed, metavar="N", help="seed of --input's noise (default 0)")
     parser.add_argument("--to", required=True, metavar="TARGET", help=TARGET_FORMS)
     parser.add_argument(
         "--profile", default=GENERIC.name, metavar="NAME|FILE.json",

@@ -21,9 +21,10 @@ from .commands import (
     HELP,
     LABORATORY_SUBJECTS,
     SUBJECT_GROUP,
-    check_seed_and_weights,
+    check_weights_name,
     find_plugins,
     make_laboratory_error,
+    parse_seed,
     require_torch,
 )
 
@@ -64,7 +65,7 @@ def _add_tactile_map(subjects: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--minutes", type=float, default=DEFAULT_MINUTES, metavar="M", help=f"to train (default {DEFAULT_MINUTES:g})"
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of batches, noise and initial weights")
+    parser.add_argument("--seed", type=parse_seed, default=0, metavar="N", help="of batches, noise and initial weights")
     parser.add_argument(
         "--objective", choices=(REGRESSION, DIFFUSION), default=REGRESSION,
         help=f"{REGRESSION} (default; shipped): least squares, one pass; {DIFFUSION}: maps sampled from noise in steps",
@@ -77,7 +78,7 @@ def _add_tactile_map(subjects: Any) -> argparse.ArgumentParser:
 
 def _run_tactile_map(arguments: argparse.Namespace) -> int:
     """Run `hnf train tactile-map`; return the exit code. Raises HnfError."""
-    check_seed_and_weights(arguments)
+    check_weights_name(arguments.out)
     if not arguments.minutes > 0.0:
         raise UsageError("--minutes must be more than 0.")
     refuse_package_data(arguments.out)
@@ -216,14 +217,14 @@ def _add_field(subjects: Any) -> None:
         help="add the eight primitives (HNF+) on a model, and for the published form; otherwise each recorded window "
         "backward, as if the hand had moved the other way",
     )  # fmt: skip
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of strokes, noise and initial weights")
+    parser.add_argument("--seed", type=parse_seed, default=0, metavar="N", help="of strokes, noise and initial weights")
     parser.add_argument("--fresh", action="store_true", help="start anew even where a killed run could go on")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run `hnf train field`; return the exit code. Raises HnfError."""
-    check_seed_and_weights(arguments)
+    check_weights_name(arguments.out)
     from ..datasets.recording import find_doubts
     from ..datasets.registry import get_training_recordings
 

@@ -124,6 +124,22 @@ def test_wrong_words_are_told_apart_from_failures(tmp_path, capsys, material, wo
     assert not (tmp_path / "x.wav").exists()
 
 
+@pytest.mark.parametrize("seed", ["-1", str(2**63), "1.0"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("stream", "in.wav", "--to", "osc:127.0.0.1:9"),
+        ("import", "in.wav", "--out", "out.wav"),
+        ("train", "tactile-map", "--data", "pairs", "--out", "map.safetensors"),
+        ("train", "field", "--data", "hatt", "--material", "Cork", "--out", "field.safetensors"),
+    ],
+    ids=lambda words: words[1] if words[0] == "train" else words[0],
+)
+def test_every_verb_takes_the_same_seeds(words, seed, capsys):
+    assert hnf(*words, f"--seed={seed}") == 2
+    assert f"--seed {seed}: not a whole number from 0 to 2^63" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("rate", "words"),
     [("10000001", "10000001: not within 1 to 10000000"), ("0.5", "not within 1"), ("9999.5", "whole number")],

@@ -26,7 +26,7 @@ def no_blender(_arguments: object) -> int:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--out", "w.safetensors", "--seed", "-1"), "--seed must be a whole number from 0"),
+        (("--out", "w.safetensors", "--seed", "-1"), "--seed -1: not a whole number from 0"),
         (("--out", "w.pth"), "--out w.pth: weights are .safetensors files. Name it so."),
     ],
 )

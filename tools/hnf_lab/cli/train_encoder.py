@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from hnf_core.cli.commands import check_seed_and_weights, require_torch
+from hnf_core.cli.commands import check_weights_name, parse_seed, require_torch
 from hnf_core.errors import UsageError
 from hnf_core.progress import Progress, ProgressBar
 
@@ -27,7 +27,7 @@ def add_parser(subjects: Any) -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="weights to write (.safetensors)")
     parser.add_argument("--steps", type=int, metavar="N", help="batches of 64 views (default 12000; with --trunk 3000)")
     parser.add_argument("--minutes", type=float, metavar="M", help="stop after so long, if that is sooner")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of weights, lamps and noise")
+    parser.add_argument("--seed", type=parse_seed, default=0, metavar="N", help="of weights, lamps and noise")
     parser.add_argument("--partial", action="store_true", help="train while the pairs are still being made")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(run=run)
@@ -36,7 +36,7 @@ def add_parser(subjects: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Raises HnfError; returns the exit code."""
-    check_seed_and_weights(arguments)
+    check_weights_name(arguments.out)
     if arguments.steps is not None and arguments.steps < 1:
         raise UsageError("--steps must be a whole number from 1.")
     if arguments.minutes is not None and not 0.0 < arguments.minutes < float("inf"):
