@@ -52,27 +52,25 @@ class Seam:
     step_m: float
 
 
-def choose_objects(distances: Float, tolerance_m: float = CONTACT_TOLERANCE_M) -> Int32:
+def choose_objects(distances: Float) -> Int32:
     """Choose the object that a stroke touches at each sample.
 
     Parameters
     ----------
     distances : ndarray, shape (k, n)
         Distance between curve and surface of k objects at n samples [m]; the first is the stroke's own.
-    tolerance_m : float, optional
-        Distance within which a surface is touched [m].
 
     Returns
     -------
     ndarray of int32, shape (n,)
-        The own one (0) while it lies under the stroke, else the nearest of those that do; 0 where none does. Another
-        one wins over the own only if it is nearer by more than `CROSSING_MARGIN_M`.
+        The own one (0) while it lies under the stroke, within `CONTACT_TOLERANCE_M`, else the nearest of those that
+        do; 0 where none does. Another one wins over the own only if it is nearer by more than `CROSSING_MARGIN_M`.
     """
     own, others = distances[0], distances[1:]
     if not len(others):
         return np.zeros(len(own), dtype=np.int32)
     nearest, distance = others.argmin(axis=0), others.min(axis=0)
-    wins = (distance <= tolerance_m) & ((own > tolerance_m) | (distance + CROSSING_MARGIN_M < own))
+    wins = (distance <= CONTACT_TOLERANCE_M) & ((own > CONTACT_TOLERANCE_M) | (distance + CROSSING_MARGIN_M < own))
     return np.where(wins, nearest + 1, 0).astype(np.int32)
 
 

@@ -97,13 +97,13 @@ def make_random_smooth_action(
 
 
 def make_circular_action(
-    duration_s: float, speed_m_s: float, force_n: float, radius_m: float, start_rad: float = 0.0, probe: str = "pen"
+    duration_s: float, speed_m_s: float, force_n: float, radius_m: float, start_rad: float = 0.0
 ) -> Action:
-    """Make a circular action at constant speed and force, as in the paper's recordings."""
+    """Make a circular action of a pen at constant speed and force, as in the paper's recordings."""
     count = round(duration_s * ACTION_RATE_HZ) + 1
     angle = start_rad + np.arange(count) / ACTION_RATE_HZ * (speed_m_s / radius_m)
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return _make_action(direction, np.full(count, speed_m_s), np.full(count, force_n), probe)
+    return _make_action(direction, np.full(count, speed_m_s), np.full(count, force_n), "pen")
 
 
 def _make_action(direction: Float, speed: Float, force: Float, probe: str) -> Action:

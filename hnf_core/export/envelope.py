@@ -397,15 +397,15 @@ def extend_to_clicks(envelope: Envelope) -> Envelope:
     return Envelope(time, amplitude, np.append(envelope.frequency, 2 * [envelope.frequency[-1]]), envelope.emphases)
 
 
-def refine_envelope(envelope: Envelope, step_s: float = ENVELOPE_STEP_S) -> Envelope:
-    """Return the same envelope with a point every `step_s` [s] and one at each click, besides its own.
+def refine_envelope(envelope: Envelope) -> Envelope:
+    """Return the same envelope with a point every `ENVELOPE_STEP_S` and one at each click, besides its own.
 
     Raises FileError if that would be more points than are rendered.
     """
-    if not envelope.duration_s / step_s <= MAX_RENDERED_SAMPLES:
+    if not envelope.duration_s / ENVELOPE_STEP_S <= MAX_RENDERED_SAMPLES:
         raise FileError(f"{envelope.duration_s:g} s are more than can be converted.", remedy="Split the file.")
     clicks = [min(emphasis.time_s, envelope.duration_s) for emphasis in envelope.emphases]
-    time = np.unique(np.concatenate([envelope.time, np.arange(0.0, envelope.duration_s, step_s), clicks]))
+    time = np.unique(np.concatenate([envelope.time, np.arange(0.0, envelope.duration_s, ENVELOPE_STEP_S), clicks]))
     amplitude = np.interp(time, envelope.time, envelope.amplitude)
     return Envelope(time, amplitude, np.interp(time, envelope.time, envelope.frequency), envelope.emphases)
 

@@ -73,8 +73,8 @@ BIN_COUNT = 100
 """Number K of bins: bins 1–100 of 1000 samples at 10 kHz are 10–1000 Hz; DC is left out."""
 
 
-def window_magnitudes(samples: ArrayLike, window: int = WINDOW_SAMPLES, bins: int = BIN_COUNT) -> Float:
-    """Compute the DFT magnitudes |X_k| (C, bins), k = 1 … bins, of consecutive Hann windows.
+def window_magnitudes(samples: ArrayLike, window: int = WINDOW_SAMPLES) -> Float:
+    """Compute the DFT magnitudes |X_k| (C, K), k = 1 … K = `BIN_COUNT`, of consecutive Hann windows.
 
     Parameters
     ----------
@@ -82,12 +82,10 @@ def window_magnitudes(samples: ArrayLike, window: int = WINDOW_SAMPLES, bins: in
         The signal; its mean is removed first, since a Hann window would leak half of it into bin 1.
     window : int
         Length of a window [samples].
-    bins : int
-        Number of bins.
 
     Returns
     -------
-    ndarray, shape (C, bins)
+    ndarray, shape (C, K)
         Magnitudes of the DFT sum, not normalized.
 
     Raises
@@ -104,7 +102,7 @@ def window_magnitudes(samples: ArrayLike, window: int = WINDOW_SAMPLES, bins: in
     if count == 0:
         raise ValueError(f"{len(samples)} samples do not fill one window of {window}.")
     windows = (samples - samples.mean())[: count * window].reshape(count, window) * hann_window(window)
-    return np.asarray(np.abs(np.fft.rfft(windows, axis=1))[:, 1 : bins + 1])
+    return np.asarray(np.abs(np.fft.rfft(windows, axis=1))[:, 1 : BIN_COUNT + 1])
 
 
 def spectral_mse(first: ArrayLike, second: ArrayLike) -> float:

@@ -453,7 +453,7 @@ def get_recorded_category(class_name: str) -> str:
     return _get_entry(class_name).hatt
 
 
-def sample_instance(class_name: str, seed: int, scatter: Scatter = DEFAULT_SCATTER) -> tuple[SurfaceRecipe, Mechanics]:
+def sample_instance(class_name: str, seed: int) -> tuple[SurfaceRecipe, Mechanics]:
     """Sample an instance (one piece) of a material class: its surface recipe and mechanics.
 
     Parameters
@@ -462,8 +462,6 @@ def sample_instance(class_name: str, seed: int, scatter: Scatter = DEFAULT_SCATT
         Name of the class.
     seed : int
         Seed; the same name and seed give the same instance. Its heights are ``height_map(recipe, seed)``.
-    scatter : Scatter
-        Scatter within the class.
 
     Returns
     -------
@@ -477,7 +475,7 @@ def sample_instance(class_name: str, seed: int, scatter: Scatter = DEFAULT_SCATT
     MaterialError
         For an unknown class.
     """
-    entry = _get_entry(class_name)
+    entry, scatter = _get_entry(class_name), DEFAULT_SCATTER
     rng = np.random.default_rng([derive_seed(class_name), seed])
 
     def factor(deviation: float) -> float:

@@ -273,11 +273,11 @@ def make_training_batch(
     return _assemble_batch(pairs, rows, rgb, sensor, turns, depth_known, rgb_known)
 
 
-def make_fixed_batch(pairs: Pairs, rows: NDArray[np.int64], sensor: int, *, depth_known: bool = True) -> Batch:
+def make_fixed_batch(pairs: Pairs, rows: NDArray[np.int64], sensor: int) -> Batch:
     """Return a batch of unchanged views for validation, with slopes as one sensor measures them."""
     all_known = np.ones(len(rows), dtype=bool)
     zero = np.zeros(len(rows), dtype=np.int64)
-    return _assemble_batch(pairs, rows, pairs.rgb[rows], zero + sensor, zero, all_known & depth_known, all_known)
+    return _assemble_batch(pairs, rows, pairs.rgb[rows], zero + sensor, zero, all_known, all_known)
 
 
 def apply_symmetry(image: NDArray[np.generic], slopes: Array, turn: int) -> tuple[NDArray[np.generic], Array]:

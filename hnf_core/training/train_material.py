@@ -279,7 +279,7 @@ def train_material(
     token, mechanics
         Token, and stiffness, damping and friction, of the material, if known.
     checkpoint
-        File from which a killed run continues; it is removed when training ends, unless `keep_checkpoint`.
+        File from which a killed run continues; it is removed when training ends.
     watch
         Called after every epoch.
     add_reversed
@@ -288,6 +288,8 @@ def train_material(
         Further recordings, for training alone.
     raw
         True to train a field of the published form on raw actions.
+    keep_checkpoint
+        True to keep the checkpoint when training ends.
 
     Returns
     -------

@@ -691,8 +691,8 @@ class StrokeTimeline:
     arc: ArcCurve
 
 
-def sample_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = TIMELINE_RATE_HZ) -> StrokeTimeline:
-    """Sample a stroke's motion and force at a rate [Hz], without its surface.
+def sample_timeline(obj: Any, scene: Any, metres_per_unit: float) -> StrokeTimeline:
+    """Sample a stroke's motion and force at TIMELINE_RATE_HZ, without its surface.
 
     Values from drivers and the NLA stay as they are now. Raises StrokeError if the curve, its keyframes or its timing
     are invalid.
@@ -705,10 +705,11 @@ def sample_timeline(obj: Any, scene: Any, metres_per_unit: float, rate: float = 
     channels = tuple(_ignore_drivers(read_channel(obj, name, scene)) for name in ("force", "progress"))
     profile, duration = choose_motion_profile(group, arc.length, (channels[0], channels[1]), start, frame_s, where)
     # Two samples at least, so that the shortest stroke that plays is drawn too.
-    time = make_time_grid(duration, max(rate, 1.0 / max(duration, 1.0 / ACTION_RATE_HZ)), where=where)
+    time = make_time_grid(duration, max(TIMELINE_RATE_HZ, 1.0 / max(duration, 1.0 / ACTION_RATE_HZ)), where=where)
     frames = start + time / frame_s
     force, progress = sample_channels(obj, scene, channels, frames)
-    motion = compute_motion(group, profile, clamp_progress(progress, frames, where=where), time, arc.length, rate)
+    progress = clamp_progress(progress, frames, where=where)
+    motion = compute_motion(group, profile, progress, time, arc.length, TIMELINE_RATE_HZ)
     return StrokeTimeline(frames, motion.position, clamp_force(force, frames, where=where, max_force=FORCE_MAX_N), arc)
 
 

@@ -62,8 +62,14 @@ class Spectrogram:
         return np.asarray(self.power.mean(axis=1))
 
 
-def compute_spectrogram(signal: Signal, window_s: float = SPECTROGRAM_WINDOW_S, overlap: float = 0.75) -> Spectrogram:
-    """Compute short-time periodograms under a Hann window.
+SPECTROGRAM_OVERLAP = 0.75
+"""Overlap of successive windows of a spectrogram, as a fraction of their length."""
+HIGHEST_SHOWN_HZ = 1000.0
+"""Upper end of the frequency axis of a spectrogram [Hz]; the skin feels little above it."""
+
+
+def compute_spectrogram(signal: Signal, window_s: float = SPECTROGRAM_WINDOW_S) -> Spectrogram:
+    """Compute short-time periodograms under Hann windows that overlap by SPECTROGRAM_OVERLAP.
 
     Parameters
     ----------
@@ -71,8 +77,6 @@ def compute_spectrogram(signal: Signal, window_s: float = SPECTROGRAM_WINDOW_S, 
         Signal in m/s²; padded with silence if shorter than the window.
     window_s : float
         Window length [s].
-    overlap : float
-        Overlap of successive windows, as a fraction of their length.
 
     Returns
     -------
@@ -84,7 +88,7 @@ def compute_spectrogram(signal: Signal, window_s: float = SPECTROGRAM_WINDOW_S, 
     Welch (1967), scaled so that the mean density of a stationary signal, integrated over frequency, is its mean square.
     """
     n = max(8, round(window_s * signal.sample_rate))
-    hop = max(1, round(n * (1.0 - overlap)))
+    hop = max(1, round(n * (1.0 - SPECTROGRAM_OVERLAP)))
     samples = np.asarray(signal.samples, dtype=np.float64)
     frames = max(1, -(-(len(samples) - n) // hop) + 1)
     padded = np.zeros((frames - 1) * hop + n)
@@ -183,9 +187,7 @@ def choose_ticks(low: float, high: float, most: int) -> tuple[list[float], list[
     return values.tolist(), [f"{value:.{digits}f}".replace("-", "−") for value in values + 0.0]
 
 
-def draw_tracks(
-    figure: Figure, action: Action, signal: Signal, frequency_scale: Literal["linear", "log"], highest_hz: float
-) -> None:
+def draw_tracks(figure: Figure, action: Action, signal: Signal, frequency_scale: Literal["linear", "log"]) -> None:
     """Draw force, speed, acceleration and spectrogram over time in the right half of a figure."""
     left, width = 0.575, 0.345
     end = max(action.duration_s, signal.duration_s, 1e-3)
@@ -194,9 +196,7 @@ def draw_tracks(
     _draw_action(axes["force"], action, action.force, "force", "N", FORCE_COLOUR)
     _draw_action(axes["speed"], action, m_to_mm(1.0) * action.speed, "speed", "mm/s", SPEED_COLOUR)
     _draw_wave(axes["wave"], signal)
-    _draw_power(
-        figure, axes["power"], signal, (left + width + 0.012, TRACKS_BOTTOM, 0.010, 0.315), frequency_scale, highest_hz
-    )
+    _draw_power(figure, axes["power"], signal, (left + width + 0.012, TRACKS_BOTTOM, 0.010, 0.315), frequency_scale)
     times, labels = choose_ticks(0.0, end, 9)
     for name, panel in axes.items():
         panel.set_xlim(0.0, end)
@@ -268,14 +268,13 @@ def _draw_power(
     signal: Signal,
     bar: tuple[float, float, float, float],
     frequency_scale: Literal["linear", "log"],
-    highest_hz: float,
 ) -> None:
     spectrogram = compute_spectrogram(signal)
     decibels = np.maximum(power_to_db(spectrogram.power), -300.0)
     top = float(decibels.max())
     axes.grid(False)
     lowest = float(spectrogram.frequency[1])
-    highest = min(highest_hz, float(spectrogram.frequency[-1]))
+    highest = min(HIGHEST_SHOWN_HZ, float(spectrogram.frequency[-1]))
     is_log = frequency_scale == "log"
     axes.set_yscale(frequency_scale)
     axes.set_ylim(lowest if is_log else 0.0, highest)

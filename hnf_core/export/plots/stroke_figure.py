@@ -211,7 +211,6 @@ def write_stroke_figure(
     tactile: MapThumbnail | None = None,
     facts: Mapping[str, str] | None = None,
     frequency_scale: Literal["linear", "log"] = "linear",
-    highest_hz: float = 1000.0,
 ) -> None:
     """Draw a stroke into a PNG of 1600 × 1000 pixels, atomically.
 
@@ -236,8 +235,6 @@ def write_stroke_figure(
         Labeled lines below the view (material, routes, confidence, …); seed, duration and RMS are added.
     frequency_scale : {"linear", "log"}
         Scale of the spectrogram's frequency axis.
-    highest_hz : float
-        Upper end of that axis [Hz].
 
     Raises
     ------
@@ -256,7 +253,7 @@ def write_stroke_figure(
             draw_spectrum(
                 figure, signal, (LEFT_MARGIN + 0.035, TRACKS_BOTTOM, 0.44, min(end - TRACKS_BOTTOM - 0.035, 0.3))
             )
-        draw_tracks(figure, action, signal, frequency_scale, highest_hz)
+        draw_tracks(figure, action, signal, frequency_scale)
 
     write_figure(path, SIZE_PX, draw)
 

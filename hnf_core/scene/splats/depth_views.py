@@ -79,18 +79,16 @@ class PointSample:
     depth: Single
 
 
-def make_depth_view(view: SplatView, *, kind: str = "mixed") -> DepthView:
+def make_depth_view(view: SplatView) -> DepthView:
     """Make a depth view from a rendered orthographic view with square pixels of side 1.
 
-    The mixed depth is the expected depth where a pixel shows a single surface, since it is smoother than the depth of
+    The depth is the expected depth where a pixel shows a single surface, since it is smoother than the depth of
     one splat, and the median depth elsewhere, since at an outline the expected depth lies between two surfaces.
 
     Parameters
     ----------
     view : SplatView
         The rendered view.
-    kind : {"mixed", "median", "expected"}
-        Depth to use.
 
     Returns
     -------
@@ -101,8 +99,7 @@ def make_depth_view(view: SplatView, *, kind: str = "mixed") -> DepthView:
     is_surface = (view.opacity >= MIN_SURFACE_OPACITY) & np.isfinite(median)
     with np.errstate(invalid="ignore"):
         single_surface = np.abs(expected - median) <= MAX_DEPTH_DIFFERENCE
-    chosen = {"mixed": np.where(single_surface, expected, median), "median": median, "expected": expected}[kind]
-    depth = np.where(is_surface, chosen, np.float32(np.inf)).astype(np.float32)
+    depth = np.where(is_surface, np.where(single_surface, expected, median), np.float32(np.inf)).astype(np.float32)
     slope = np.stack([_compute_slope(depth, 1), _compute_slope(depth, 0)], axis=-1)
     cosine = 1.0 / np.sqrt(1.0 + np.sum(slope * slope, axis=-1))
     return DepthView(view.camera, depth, slope, cosine, view.opacity.astype(np.float32), compute_linear_colour(view))

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from ...errors import SceneError, UsageError
 from ...progress import Progress, ProgressCallback, add_work, ignore_progress
-from ..camera import Camera
 from .depth_views import DepthView, make_depth_view, make_surrounding_cameras, sample_points
 from .gaussians import Splats
 from .prune import PruneResult, prune_splats
-from .rasterize import SplatView, render_splats
+from .rasterize import render_splats
 from .tsdf import THICKNESS, extract_surface, find_band, find_nearest_triangles, fuse_depth_views, label_components
 
 Float = NDArray[np.float64]
@@ -417,8 +416,6 @@ def _make_warnings(count: int, near: float, retained: float, open_: float, clari
     return tuple(warnings)
 
 
-RenderFunction = Callable[[Splats, Camera], SplatView]
-
 DEFAULT_CELLS = 256
 """Number of grid cells along the longest axis of the cloud."""
 MIN_CELLS, MAX_CELLS = 8, 2048
@@ -477,7 +474,6 @@ def reconstruct_surface(
     cells: int = DEFAULT_CELLS,
     views: int = DEFAULT_VIEWS,
     progress: ProgressCallback = ignore_progress,
-    render: RenderFunction = render_splats,
     where: str = "",
 ) -> SplatSurface:
     """Reconstruct a triangle mesh from splats.
@@ -492,8 +488,6 @@ def reconstruct_surface(
         Number of orthographic depth views from all around.
     progress : callable, optional
         Called before each stage, and before each view of a stage; an exception that it raises cancels.
-    render : callable
-        Function that renders splats for a camera.
     where : str
         Name of the cloud in error messages.
 
@@ -525,7 +519,7 @@ def reconstruct_surface(
     report("cleaning", 0.0)
     pruned = prune_splats(splats, where=where)
     local, centre, spacing = _scale_to_cells(pruned.splats, cells)
-    depth_views = _render_depth_views(local, views, render, report)
+    depth_views = _render_depth_views(local, views, report)
     report("fusing", 0.75)
     grid, origin, keys = find_band(depth_views)
     band = fuse_depth_views(_report_each(depth_views, partial(report, "fusing"), 0.75, 0.85), grid, origin, keys)
@@ -583,15 +577,13 @@ def _scale_to_cells(splats: Splats, cells: int) -> tuple[Splats, Float, float]:
     return local, centre, side
 
 
-def _render_depth_views(
-    local: Splats, views: int, render: RenderFunction, report: Callable[[str, float], None]
-) -> list[DepthView]:
+def _render_depth_views(local: Splats, views: int, report: Callable[[str, float], None]) -> list[DepthView]:
     reach = np.minimum(2.0 * local.scales.max(axis=1).astype(np.float64), MAX_VIEW_MARGIN)
     cameras = make_surrounding_cameras(local.means.astype(np.float64), reach, views, 1.0)
     depth_views = []
     for index, camera in enumerate(cameras):
         report("looking", 0.05 + 0.7 * index / len(cameras))
-        depth_views.append(make_depth_view(render(local, camera)))
+        depth_views.append(make_depth_view(render_splats(local, camera)))
     return depth_views
 
 

@@ -197,7 +197,6 @@ def predict_tactile_maps(
     *,
     seed: int | Sequence[int],
     steps: int = DEFAULT_STEPS,
-    guidance: float = 1.0,
 ) -> tuple[TactileMap, ...]:
     """Predict the tactile map of every view, marked as Route.PREDICTED.
 
@@ -213,8 +212,6 @@ def predict_tactile_maps(
         Seed of the noise for all views, or one each.
     steps : int
         Number of DDIM steps.
-    guidance : float
-        Strength of classifier-free guidance; 1 is the plain conditional model.
 
     Returns
     -------
@@ -252,9 +249,7 @@ def predict_tactile_maps(
     add_work("threads", threads)
     with ThreadPoolExecutor(threads) as pool:
         predictions = list(
-            pool.map(
-                lambda view, view_seed: predict_slopes(weights, view, sensor, view_seed, steps, guidance), views, seeds
-            )
+            pool.map(lambda view, view_seed: predict_slopes(weights, view, sensor, view_seed, steps), views, seeds)
         )
     return tuple(
         make_tactile_map(slopes, view.pitch_m, sensor) for slopes, view in zip(predictions, views, strict=True)
