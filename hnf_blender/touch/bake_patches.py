@@ -219,8 +219,6 @@ class TouchedObject:
         Other data of the object that its shaders read, as text; "" for none.
     metres_per_unit : float
         Length of a Blender unit [m].
-    frame : float or None
-        Scene frame, None if it is not animated.
     artist_choices : tuple of str or MaterialFile
         Choice of each slot's Blender material: library material or definition, "" for none.
     texture_names : tuple of tuple of str
@@ -241,7 +239,6 @@ class TouchedObject:
     shader_hashes: tuple[str, ...]
     owner_hash: str
     metres_per_unit: float
-    frame: float | None = None
     artist_choices: tuple[str | MaterialFile, ...] = ()
     texture_names: tuple[tuple[str, ...], ...] = ()
     splat_source: str = ""
@@ -271,7 +268,7 @@ def compute_patch_key(touched: TouchedObject, patch: Patch, predictor: ReliefPre
     return content_hash(
         names, touched.shape_hash, shader, touched.owner_hash, place.tobytes(), f"{patch.slot} {patch.size_m:.9g}",
         f"{__version__} {PATCH_PIXELS} {FIRST_PASS_PIXELS} {predictor.sensor} "
-        f"{predictor.measured_encoder.content_id} {PATCH_VERSION} {touched.frame}",
+        f"{predictor.measured_encoder.content_id} {PATCH_VERSION} None",  # as it was when a frame could stand here
     )  # fmt: skip
 
 
@@ -372,7 +369,6 @@ def _open_renderer(
         surface=touched.surface,
         pixels=PATCH_PIXELS,
         metres_per_unit=touched.metres_per_unit,
-        frame=touched.frame,
         view_layer=touched.view_layer,
         first_pass_pixels=FIRST_PASS_PIXELS,
         wait_for_threads=wait_for_threads,

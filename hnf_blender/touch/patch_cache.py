@@ -38,7 +38,7 @@ class Prediction:
 
     Attributes
     ----------
-    images : (V, 64, 64, 3) float32 array
+    images : (V, 64, 64, 3) float16 array
         Sensor images, the widest view first.
     pitch_m : (V,) array
         Size of their pixels [m].
