@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from operator import index
+from pathlib import Path
 
 
 class HnfError(Exception):
@@ -32,6 +33,11 @@ class UsageError(HnfError):
 
 class FileError(HnfError):
     """A file is missing, damaged, of the wrong kind, or cannot be written."""
+
+
+def make_damaged_error(path: Path, why: str) -> FileError:
+    """Return the error for a file whose content contradicts itself."""
+    return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")
 
 
 class SceneError(HnfError):

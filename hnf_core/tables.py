@@ -153,7 +153,7 @@ def number_lines(text: str) -> list[tuple[int, str]]:
     numbered = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     comments = [(number, line.lstrip()[1:].lstrip()) for number, line in numbered if line.lstrip().startswith("#")]
     rows = [(number, line) for number, line in numbered if not line.lstrip().startswith("#")]
-    if comments and rows and _is_number(re.split("[,;\t]", rows[0][1])[0].strip().replace(",", ".")):
+    if comments and rows and is_number(re.split("[,;\t]", rows[0][1])[0].strip().replace(",", ".")):
         before = [comment for comment in comments if comment[0] < rows[0][0]]
         return [*before[-1:], *rows]
     return rows
@@ -239,7 +239,7 @@ def _parse_rows(numbered: list[tuple[int, str]], separator: str, column_indices:
     except ValueError as error:
         for number, line in numbered:
             cells = line.split(separator)
-            if not all(index < len(cells) and _is_number(cells[index]) for index in column_indices):
+            if not all(index < len(cells) and is_number(cells[index]) for index in column_indices):
                 raise FileError(
                     f"line {number}: a cell is missing or no number.", where=where, remedy=_TABLE_REMEDY
                 ) from error
@@ -254,7 +254,8 @@ def _parse_rows(numbered: list[tuple[int, str]], separator: str, column_indices:
     return np.asarray(values)
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Return True for the text of a number, infinities and NaN included."""
     try:
         float(cell)
     except ValueError:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hnf_core.errors import FileError, SceneError
+from hnf_core.errors import FileError, SceneError, make_damaged_error
 from hnf_core.progress import ProgressCallback, ignore_progress
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.file_kind import identify, read_head
@@ -25,6 +25,7 @@ from hnf_core.scene.gltf_document import check_gltf, describe_unread, is_splat_d
 from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, read_model_transforms
 from hnf_core.scene.ply import check_faces, read_ply_header
 from hnf_core.scene.splats.splat_file import SPLAT_SUFFIXES, open_splat_file
+from hnf_core.tables import is_number
 
 from .scene.stored_data import show_vertex_colours
 from .scene.temp_scene import suppress_output
@@ -73,7 +74,7 @@ def parse_relief_map(text: str) -> ReliefMap | None:
         option = words.pop(0)
         count = OPTION_COUNTS.get(option, 3)
         numbers: list[str] = []
-        while words and len(numbers) < count and (option in OPTION_COUNTS or _is_number(words[0])):
+        while words and len(numbers) < count and (option in OPTION_COUNTS or is_number(words[0])):
             numbers.append(words.pop(0))
         values[option] = numbers
     if not words:
@@ -88,14 +89,6 @@ def parse_relief_map(text: str) -> ReliefMap | None:
     except (ValueError, IndexError):
         return None
     return ReliefMap(text[text.index(words[0]) :].strip(), multiplier, base, gain, offset, scale)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def parse_mtl(text: str) -> dict[str, dict[str, ReliefMap]]:
@@ -478,7 +471,7 @@ def check_scene_file(path: Path) -> str:
             remedy=f"Give a scene: {' '.join(SCENE_SUFFIXES)}.",
         )
     if not head:
-        raise _damaged_file_error(path, "it is empty")
+        raise make_damaged_error(path, "it is empty")
     starts = {
         ".blend": (BLEND_MAGIC, "a .blend file"),
         ".glb": ((b"glTF",), "a binary glTF file"),
@@ -486,7 +479,7 @@ def check_scene_file(path: Path) -> str:
     }
     starts |= {name: (USD_MAGIC, "a USD file") for name in SCENE_SUFFIXES if name.startswith(".usd")}
     if suffix in starts and not (head if suffix != ".fbx" else head.lstrip()).startswith(starts[suffix][0]):
-        raise _damaged_file_error(path, f"it does not begin like {starts[suffix][1]}")
+        raise make_damaged_error(path, f"it does not begin like {starts[suffix][1]}")
     if is_splat_file(path, suffix):
         open_splat_file(path)
     elif suffix in {".gltf", ".glb"}:
@@ -494,7 +487,7 @@ def check_scene_file(path: Path) -> str:
     elif suffix == ".ply":
         _check_ply(path)
     if suffix == ".stl" and not _is_stl(path, head):
-        raise _damaged_file_error(path, "it is no STL file, neither text nor binary")
+        raise make_damaged_error(path, "it is no STL file, neither text nor binary")
     return suffix
 
 
@@ -657,7 +650,3 @@ def _extract_reason(message: str) -> str:
     reason = re.sub(r"^Error:\s*", "", lines[0]).rstrip(".")
     broke_down = "Traceback" in message or re.match(r"Python\b|[\w.]*(Error|Exception|Interrupt)\b", reason)
     return "" if broke_down else reason
-
-
-def _damaged_file_error(path: Path, why: str) -> FileError:
-    return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")

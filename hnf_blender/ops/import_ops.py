@@ -429,7 +429,7 @@ class HNF_FH_splats(bpy.types.FileHandler):  # type: ignore[misc]
 
     @classmethod
     def poll_drop(cls, context: Any) -> bool:
-        return context.area is not None and context.area.type == "VIEW_3D"
+        return _is_over_3d_view(context)
 
 
 CLASSES = (

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileError
-from ..tables import MAX_MEASURABLE, is_measurable, parse_unit_factor
+from ..tables import MAX_MEASURABLE, is_measurable, is_number, parse_unit_factor
 from .data_files import find_files, read_head, read_xml
 from .hatt_models import TextureModel, read_texture_model
 from .hatt_synthesis import PROCESS_RATE_HZ, HattProcess
@@ -97,7 +97,7 @@ def _read_array(element: Element, where: str) -> Float | None:
     rows = [(text or "").replace(",", " ").split() for text in children]
     if not rows and len(element) == 0:
         words = (element.text or "").replace(",", " ").split()
-        if len(words) < MIN_ARRAY_LENGTH or not _is_number(words[0]):
+        if len(words) < MIN_ARRAY_LENGTH or not is_number(words[0]):
             return None
         rows = [[word] for word in words]
     if len(rows) < MIN_ARRAY_LENGTH:
@@ -113,14 +113,6 @@ def _read_array(element: Element, where: str) -> Float | None:
         bad = int(np.argmin(is_measurable(values).all(axis=1))) + 1
         raise FileError(f"value {bad} is not finite or beyond {MAX_MEASURABLE:g}.", where=where, remedy=_TOOLKIT_REMEDY)
     return values[:, 0] if values.shape[1] == 1 else values
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _detect_axis(tag: str) -> str:

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import __version__
-from ..errors import FileError, UsageError
+from ..errors import FileError, UsageError, make_damaged_error
 from ..files import write_bytes
 from ..material.palette import Palette
 from ..material.token import LEVELS, TOKEN_NAMES
@@ -112,23 +112,23 @@ def encode_glb(tree: dict[str, Any], data: bytes, *, where: str = "glb") -> byte
 def decode_glb(data: bytes, path: Path) -> tuple[dict[str, Any], bytes]:
     """Return the JSON tree and the buffer of a GLB. Raises FileError if it is damaged."""
     if len(data) < 20 or data[:4] != _MAGIC:
-        raise _damaged_error(path, "it does not begin like a binary glTF file")
+        raise make_damaged_error(path, "it does not begin like a binary glTF file")
     version, total = struct.unpack_from("<II", data, 4)
     if version != 2 or total > len(data):
-        raise _damaged_error(path, f"it is of version {version} and says {total} bytes, {len(data)} are there")
+        raise make_damaged_error(path, f"it is of version {version} and says {total} bytes, {len(data)} are there")
     tree, block, at = None, b"", 12
     while at + 8 <= total:
         size, kind = struct.unpack_from("<II", data, at)
         body = data[at + 8 : at + 8 + size]
         if len(body) < size:
-            raise _damaged_error(path, "it ends early")
+            raise make_damaged_error(path, "it ends early")
         if kind == _JSON and tree is None:
             tree = _parse_json_chunk(body, path)
         elif kind == _BIN and not block:
             block = body
         at += 8 + size
     if tree is None:
-        raise _damaged_error(path, "it has no JSON")
+        raise make_damaged_error(path, "it has no JSON")
     return tree, block
 
 
@@ -141,9 +141,9 @@ def get_view_bytes(tree: dict[str, Any], block: bytes, index: object, path: Path
         view = tree["bufferViews"][index]
         start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise _damaged_error(path, "a part that it names is missing") from error
+        raise make_damaged_error(path, "a part that it names is missing") from error
     if start < 0 or length < 0 or start + length > len(block):
-        raise _damaged_error(path, "a part that it names lies beyond its end")
+        raise make_damaged_error(path, "a part that it names lies beyond its end")
     return block[start : start + length]
 
 
@@ -151,14 +151,10 @@ def _parse_json_chunk(body: bytes, path: Path) -> dict[str, Any]:
     try:
         tree = json.loads(body.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise _damaged_error(path, f"its JSON cannot be read ({error})") from error
+        raise make_damaged_error(path, f"its JSON cannot be read ({error})") from error
     if not isinstance(tree, dict):
-        raise _damaged_error(path, "its JSON is no object")
+        raise make_damaged_error(path, "its JSON is no object")
     return tree
-
-
-def _damaged_error(path: Path, why: str) -> FileError:
-    return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")
 
 
 Float32 = NDArray[np.float32]

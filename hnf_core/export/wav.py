@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import __version__
-from ..errors import FileError
+from ..errors import FileError, make_damaged_error
 from ..field.resampling import resample
 from ..files import describe_content, refuse_pointer, write_atomically, write_bytes
 from ..signal import Signal
@@ -243,9 +243,9 @@ def decode_wav_channels(data: bytes, path: Path, channel: int | None = None) -> 
         )
     chunks, untold = _find_chunks(memoryview(data), path)
     if b"fmt " not in chunks or b"data" not in chunks:
-        raise _damaged_error(path, "it has no " + ("data" if b"fmt " in chunks else "fmt") + " chunk")
+        raise make_damaged_error(path, "it has no " + ("data" if b"fmt " in chunks else "fmt") + " chunk")
     if len(chunks[b"fmt "]) < 16:
-        raise _damaged_error(path, "its fmt chunk is too short")
+        raise make_damaged_error(path, "its fmt chunk is too short")
     rate, samples = _decode_samples(bytes(chunks[b"fmt "]), chunks[b"data"], path, untold, channel)
     info = dict(_iter_info_texts(bytes(chunks.get(b"LIST", b""))))
     record = _parse_comment(info.get("ICMT", ""))
@@ -260,7 +260,7 @@ def decode_wav_channels(data: bytes, path: Path, channel: int | None = None) -> 
     if untold:
         provenance["assumed"] = UNTOLD_SIZE
     if not np.isfinite(samples).all():
-        raise _damaged_error(path, "some samples are not finite")
+        raise make_damaged_error(path, "some samples are not finite")
     return tuple(Signal(values, float(rate), seed, provenance) for values in samples)
 
 
@@ -322,7 +322,7 @@ def _find_chunks(data: memoryview, path: Path) -> tuple[dict[bytes, memoryview],
                 return chunks, True
         if start + size > len(data) and tag in (b"fmt ", b"data"):
             name = tag.decode("latin-1").strip()
-            raise _damaged_error(path, f"chunk '{name}' should hold {size} bytes and {len(data) - start} are there")
+            raise make_damaged_error(path, f"chunk '{name}' should hold {size} bytes and {len(data) - start} are there")
         if tag != b"LIST" or bytes(data[start : start + 4]) == b"INFO":
             chunks.setdefault(tag, data[start : start + size])
         at = start + size + size % 2
@@ -352,9 +352,9 @@ def _decode_samples(
     if encoding == _EXTENSIBLE and len(format_chunk) >= 26:
         encoding = struct.unpack_from("<H", format_chunk, 24)[0]
     if channels == 0:
-        raise _damaged_error(path, "it has no channel")
+        raise make_damaged_error(path, "it has no channel")
     if rate == 0:
-        raise _damaged_error(path, "its sample rate is 0")
+        raise make_damaged_error(path, "its sample rate is 0")
     if encoding not in (_PCM, _IEEE_FLOAT) or bits not in ((8, 16, 24, 32) if encoding == _PCM else (32, 64)):
         raise FileError(
             f"has an encoding that cannot be read (format {encoding}, {bits} bits).",
@@ -365,7 +365,7 @@ def _decode_samples(
     if untold and block:
         data_chunk = data_chunk[: len(data_chunk) - len(data_chunk) % block]
     if block != channels * size or len(data_chunk) % block:
-        raise _damaged_error(path, "its data does not divide into whole samples")
+        raise make_damaged_error(path, "its data does not divide into whole samples")
     if channel is not None and not 1 <= channel <= channels:
         raise FileError(
             f"has {channels} channel{'s' if channels > 1 else ''}, and no channel {channel}.",
@@ -413,10 +413,6 @@ def _parse_comment(comment: str) -> _CommentRecord | None:
         return _CommentRecord(int(record["seed"]), float(record["scale"]), facts)
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         return None
-
-
-def _damaged_error(path: Path, why: str) -> FileError:
-    return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")
 
 
 FULL_SCALE_COUNTS = 32767

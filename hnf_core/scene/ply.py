@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FileError
+from ..errors import FileError, make_damaged_error
 
 MAX_HEADER_BYTES = 1 << 16
 # No disk holds more rows, and int() of a longer number is slow.
@@ -158,11 +158,6 @@ def check_faces(path: Path, header: PlyHeader) -> None:
             raise make_damaged_error(path, "a face names a vertex that is not there")
         at, count = at + len(run) * row, count - len(run)
         window = 2 * window if len(run) == window else MIN_FACE_ROWS
-
-
-def make_damaged_error(path: Path, why: str) -> FileError:
-    """Return the error for a file whose content contradicts itself."""
-    return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")
 
 
 Rows = NDArray[np.void]

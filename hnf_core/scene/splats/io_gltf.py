@@ -22,9 +22,9 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FileError, SceneError
+from ...errors import FileError, SceneError, make_damaged_error
 from ..gltf_document import SPLAT_EXTENSION, UNREADABLE_EXTENSIONS, check_gltf
-from ..ply import make_damaged_error, make_unreadable_error
+from ..ply import make_unreadable_error
 from .gaussians import C0, Floats, RawSplats, SplatSource, UpAxis, evaluate_sh_basis, pad_harmonics
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

@@ -21,9 +21,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FileError
+from ...errors import FileError, make_damaged_error
 from ..file_kind import MAX_KSPLAT_LEVEL, SPLAT_ROW
-from ..ply import make_damaged_error, make_truncated_error, make_unreadable_error
+from ..ply import make_truncated_error, make_unreadable_error
 from .gaussians import Floats, RawSplats, SplatSource, UpAxis, complete_rotations, decode_colours, pad_harmonics
 
 HARMONIC_COUNTS = (1, 4, 9, 16, 25)

@@ -18,13 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FileError
+from ...errors import FileError, make_damaged_error
 from ..ply import (
     PlyHeader,
     Rows,
     count_complete_rows,
     iter_rows,
-    make_damaged_error,
     make_truncated_error,
     read_ply_header,
 )

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FileError
-from ..ply import make_damaged_error, make_unreadable_error
+from ...errors import FileError, make_damaged_error
+from ..ply import make_unreadable_error
 from .gaussians import Floats, RawSplats, SplatSource, UpAxis, complete_rotations
 from .io_ply import sigmoid
 

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import FileError
+from ...errors import FileError, make_damaged_error
 from ..file_kind import identify, read_head
-from ..ply import make_damaged_error
 from .gaussians import Box, Single, Splats, SplatSource, ValidatedSplats, validate_splats
 from .io_gltf import open_gltf
 from .io_packed import open_ksplat, open_splat, open_spz
