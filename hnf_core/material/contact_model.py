@@ -222,35 +222,21 @@ def contact_radius(mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Fl
     return np.asarray(np.minimum(np.sqrt(area), probe.tip_radius_m))
 
 
-def tip_response(wavenumber_cycles_m: ArrayLike, mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Float:
-    """Return the gain, 0 to 1, of a ripple of a wavenumber under a contact of finite radius; arguments broadcast.
+def tip_gain(wavenumber_cycles_m: Float, radius_m: Float) -> Float:
+    """Return the gain, 0 to 1, of a ripple of wavenumber κ under a contact of a finite radius; both broadcast.
 
     Parameters
     ----------
-    wavenumber_cycles_m : array_like
+    wavenumber_cycles_m : ndarray
         Wavenumber κ [cycles/m].
-    mechanics : Mechanics
-        Mechanics of the material.
-    probe : Probe
-        The probe.
-    force_n : array_like
-        Normal force [N].
-
-    Returns
-    -------
-    ndarray
-        The gain.
+    radius_m : ndarray
+        Radius of the contact, from `contact_radius` [m].
 
     Notes
     -----
     The Hertzian pressure sqrt(1 − r²/a²) averages the profile. Its transform 3 (sin q − q cos q) / q³, q = 2πκa, is
     replaced by the Gaussian of equal curvature, exp(−q²/10), which has no negative lobes.
     """
-    return tip_gain(np.asarray(wavenumber_cycles_m, dtype=np.float64), contact_radius(mechanics, probe, force_n))
-
-
-def tip_gain(wavenumber_cycles_m: Float, radius_m: Float) -> Float:
-    """Return the gain of `tip_response` for a contact radius [m] in place of mechanics and force; both broadcast."""
     return np.asarray(np.exp(-np.square(2.0 * np.pi * wavenumber_cycles_m * radius_m) / 10.0))
 
 
@@ -277,7 +263,7 @@ def height_response(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe,
     -----
     Base excitation (Rao, ch. 3): m ẍ = k (h − x) + c (ḣ − ẋ), so H = −ω² (k + iωc) / (k − mω² + iωc) with c = 2ζ sqrt(k
     m). Far below the resonance the probe follows the profile (−ω²). The profile height is that already averaged by the
-    tip (`tip_response`); a linear model cannot represent loss of contact. The response of the probe's body is included.
+    tip (`tip_gain`); a linear model cannot represent loss of contact. The response of the probe's body is included.
     """
     omega, stiffness, damper, denominator = _oscillator_terms(frequency_hz, mechanics, probe, force_n)
     spring_and_damper: Complex = np.asarray(stiffness + 1j * omega * damper, dtype=np.complex128)

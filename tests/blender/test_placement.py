@@ -10,7 +10,7 @@ import pytest
 from builders import add_mesh, add_plane, add_sphere
 
 from hnf_blender.bridge.scene.meshes import make_ray_caster, read_surface
-from hnf_blender.bridge.stroke.place_primitive import choose_default_slots, list_touchable_slots, place_primitive
+from hnf_blender.bridge.stroke.place_primitive import choose_default_slots, place_primitive
 from hnf_blender.bridge.stroke.read_stroke import list_strokes, read_stroke
 from hnf_core.action.contacts import action_from_contacts, find_contacts, plan_patches
 from hnf_core.action.parse_stroke import parse_stroke
@@ -181,7 +181,7 @@ def test_slots_are_found_and_kept():
     obj = striped()
     add_plane("Hidden").hide_render = True
     add_plane("Bare", size=0.05)
-    slots = list_touchable_slots(bpy.context.scene)
+    slots = choose_default_slots(bpy.context.scene)
     assert [(each.name, slot, material) for each, slot, material in slots] == [
         ("Bare", 0, ""),
         ("Striped", 0, "Oak"),

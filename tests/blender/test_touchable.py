@@ -12,7 +12,7 @@ from hnf_blender.bridge.importers import open_scene
 from hnf_blender.bridge.scene import touchable
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.bridge.scene.touchable import realise_instances
-from hnf_blender.bridge.stroke.place_primitive import choose_default_slots, list_touchable_slots, place_primitive
+from hnf_blender.bridge.stroke.place_primitive import _measure_slots, choose_default_slots, place_primitive
 from hnf_blender.bridge.stroke.read_stroke import read_stroke
 from hnf_blender.touch.session import gather_jobs, make_scene_session
 from hnf_core.action.contacts import find_contacts
@@ -304,7 +304,7 @@ def test_instanced_prims_of_usd_are_touched(stroke_properties, tmp_path, kind):
     scene = open_scene(path)
     realise_instances(scene, scene.view_layers[0])
     places = [obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world.translation.length
-              for obj, _, material in list_touchable_slots(scene) if material.startswith("Oak")]  # fmt: skip
+              for obj, _, material, _ in _measure_slots(scene, None) if material.startswith("Oak")]  # fmt: skip
     assert sorted(places)[-1] == pytest.approx({"points": 1.0, "scene": 2.0}[kind])
     assert not [why for why in skipped(tmp_path).values() if "instances" in why or "point cloud" in why]
 

@@ -77,18 +77,10 @@ class PlacedStroke:
     rays: int
 
 
-def list_touchable_slots(scene: Any, depsgraph: Any = None) -> list[tuple[Any, int, str]]:
-    """Return (object, slot, material name) of every slot with faces on the scene's visible surfaces.
-
-    They are sorted by object name and slot; the material's name may be "".
-    """
-    return [(obj, slot, material) for obj, slot, material, _ in _measure_slots(scene, depsgraph)]
-
-
 def choose_default_slots(scene: Any, depsgraph: Any = None) -> list[tuple[Any, int, str]]:
-    """Return `list_touchable_slots` with each material once, where it covers the largest area.
+    """Return (object, slot, material name) of each material on the scene's visible surfaces, where it is largest.
 
-    Slots without a material count once per object.
+    They are sorted by object name and slot. Slots without a material, whose name is "", count once per object.
     """
     best: dict[tuple[str, str], tuple[Any, int, str, float]] = {}
     for entry in _measure_slots(scene, depsgraph):

@@ -217,7 +217,7 @@ class LiveLinearContact:
         touch, resonance = self.contact_columns(angle, speed, force)
         radius, stiffness, damping, mass, leaning, rubbed, flank = touch[2:]
         gain, wave = arc_gain(self._kappa, np.array([speed]))[0], self._wave
-        # These are the squares of tip_response at κ, and at half of it because the bearing spots are half as large.
+        # These are the squares of tip_gain at κ, and at half of it because the bearing spots are half as large.
         reach_square = wave * radius**2
         tip_power, slope_power, spot_power = weight = self._weight
         np.exp(reach_square * (-1.0 / 5.0), out=tip_power)

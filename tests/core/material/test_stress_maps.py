@@ -21,7 +21,7 @@ from hnf_core.material.contact_model import (
     force_response,
     height_response,
     resonance_hz,
-    tip_response,
+    tip_gain,
 )
 from hnf_core.material.probe import PROBE_NAMES, get_probe
 from hnf_core.material.token import LEVELS, SMOOTH_LEVEL, TOKEN_DIM
@@ -159,7 +159,7 @@ def test_linear_contact(stiffness, damping, probe):
     force = np.array([0.0, 5e-324, 1e-300, 1e-9, 1.0, 1e7])
     frequency = np.array([0.0, 5e-324, 1.0, 1e3, 1e6])[:, None]
     values = [contact_stiffness(mechanics, tip, force), contact_radius(mechanics, tip, force)]
-    values += [resonance_hz(mechanics, tip, force), tip_response(frequency, mechanics, tip, force)]
+    values += [resonance_hz(mechanics, tip, force), tip_gain(frequency, contact_radius(mechanics, tip, force))]
     for response in (height_response, force_response):
         values.append(response(frequency, mechanics, tip, force))
     assert all(np.isfinite(each).all() for each in values)
