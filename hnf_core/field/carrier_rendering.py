@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..kernel import compiled_carriers as kernel_hop
+from ..kernel import compiled_carriers
 from ..kernel.compiled_carriers import CarrierTables
 from ..kernel.loader import load_kernel
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, Carriers
@@ -273,7 +273,7 @@ def render_carrier_hops(knots: Knots, carriers: Carriers, seed: int, position: F
     begin = hops.start * HOP_SIZE - REACH_SAMPLES
     near = knots.select_range(begin, begin + len(position))
     is_active = _find_active_hops(near, near.amplitude[:, carriers.time_slice].any(axis=1), hops)
-    return kernel_hop.render_hops(
+    return compiled_carriers.render_hops(
         kernel, build_hop_tables(carriers), near.at, near.amplitude, hops.start * HOP_SIZE,
         np.ascontiguousarray(position),
         [get_time_hop(carriers, seed, hop) if active else None for hop, active in zip(hops, is_active, strict=True)],

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel import compiled_carriers as kernel_noise
+from ..kernel import compiled_carriers
 from ..kernel.compiled_carriers import TILE_SAMPLES
 from ..kernel.loader import load_kernel
 
@@ -110,7 +110,7 @@ def draw_band_bins(seed: int, stream: int, block: int, bins: Bins) -> NDArray[np
     first, last, pairs = int(bins.starts[0]), int(bins.starts[-1]), bins.size // 2 + 1
     kernel = load_kernel()
     if kernel is not None:
-        return kernel_noise.draw_bins(
+        return compiled_carriers.draw_bins(
             kernel, (seed & WORD_MASK, stream & WORD_MASK, block & WORD_MASK), pairs, first, bins.level
         )
     radius, angle = _draw_polar(seed, stream, block, pairs, slice(first, last))
@@ -371,7 +371,7 @@ def render_real_waves(bins: Complex, plan: WavePlan, out: Float32 | None = None)
     kernel = load_kernel()
     if len(plan.narrow) and kernel is not None and plan.size % TILE_SAMPLES == 0:
         tables = plan.starts, plan.narrow, plan.slow, plan.turns, plan.window
-        kernel_noise.render_real_waves(kernel, bins, *tables, out)
+        compiled_carriers.render_real_waves(kernel, bins, *tables, out)
     elif len(plan.narrow):
         cosine, sine = plan.turns
         forward, backward = _envelopes(2.0 * _padded(bins, plan), plan.slow)
@@ -401,7 +401,7 @@ def render_complex_waves(
     out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.complex64) if out is None else out
     kernel = load_kernel()
     if kernel is not None and plan.size % TILE_SAMPLES == 0:
-        kernel_noise.render_complex_waves(kernel, bins, plan.starts, plan.slow, plan.turns, plan.window, out)
+        compiled_carriers.render_complex_waves(kernel, bins, plan.starts, plan.slow, plan.turns, plan.window, out)
         return out
     turn = plan.turns[0] + 1j * plan.turns[1]
     forward, backward = _envelopes(_padded(bins, plan), plan.slow)

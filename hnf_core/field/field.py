@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ
-from ..kernel import compiled_field as kernel_field
+from ..kernel import compiled_field
 from ..kernel.compiled_field import CONTACT_COLUMNS, EmissionTables, Layers, ToneArrays
 from ..kernel.loader import load_kernel
 from ..material.contact_model import Mechanics
@@ -522,17 +522,17 @@ def evaluate_compiled(
     """
     tokens, motion, touch = _state_columns(condition)
     fixed = np.array([encode_fixed_inputs(mechanics, condition.probe) for mechanics in condition.mechanics])
-    x, prior = kernel_field.compute_inputs(kernel, emitter, tokens, fixed[condition.material], motion, touch)
+    x, prior = compiled_field.compute_inputs(kernel, emitter, tokens, fixed[condition.material], motion, touch)
     head, sigma = network(x)
     head, lines = np.ascontiguousarray(head, dtype=np.float32), condition.lines
     if lines is None or not emitter.has_line_gains:
-        return kernel_field.decode_head(kernel, emitter, head, motion, prior), sigma
+        return compiled_field.decode_head(kernel, emitter, head, motion, prior), sigma
     arrays = ToneArrays(
         emitter, lines.column, lines.pitch_wavenumber, lines.wavenumber, _get_pitch_scatter(condition)
     )  # fmt: skip
-    kernel_field.take_tones(kernel, emitter, head, motion, prior, arrays)
-    alpha = kernel_field.decode_head(kernel, emitter, head, motion, prior)
-    kernel_field.gather_sidebands(kernel, emitter, arrays, alpha)
+    compiled_field.take_tones(kernel, emitter, head, motion, prior, arrays)
+    alpha = compiled_field.decode_head(kernel, emitter, head, motion, prior)
+    compiled_field.gather_sidebands(kernel, emitter, arrays, alpha)
     return np.concatenate([alpha, arrays.tones], axis=1), sigma
 
 
@@ -543,7 +543,7 @@ def _get_pitch_scatter(condition: Condition) -> Float:
 
 def decode_outputs(kernel: CDLL, emitter: EmissionTables, condition: Condition, head: Float32) -> Float:
     """Compute the amplitudes α (n, K) from known outputs of the α head (n, outputs), without running the network."""
-    return kernel_field.decode_known_head(
+    return compiled_field.decode_known_head(
         kernel, emitter, *_state_columns(condition), np.ascontiguousarray(head, dtype=np.float32)
     )
 
@@ -585,7 +585,7 @@ def _state_columns(condition: Condition) -> tuple[Float, Float, Float]:
     Columns of the last two are MOTION_COLUMNS and CONTACT_COLUMNS.
     """
     touch, resonance = compute_contact_columns(condition)
-    motion = np.empty((len(resonance), len(kernel_field.MOTION_COLUMNS)))
+    motion = np.empty((len(resonance), len(compiled_field.MOTION_COLUMNS)))
     motion[:, :2] = condition.direction
     np.maximum(condition.speed, SPEED_FLOOR_M_S, out=motion[:, 2])
     np.maximum(condition.force, FORCE_FLOOR_N, out=motion[:, 3])

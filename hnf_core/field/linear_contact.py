@@ -23,7 +23,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel import compiled_field as kernel_contact
+from ..kernel import compiled_field
 from ..kernel.compiled_field import CONTACT_COLUMNS, ContactTables
 from ..kernel.loader import load_kernel
 from ..material.contact_model import (
@@ -383,7 +383,7 @@ def compute_linear_contact(condition: Condition, carriers: Carriers) -> LinearCo
     tokens = np.ascontiguousarray(condition.tokens, dtype=np.float64)
     columns = np.stack([touch[name] for name in CONTACT_COLUMNS], axis=1)
     tables = build_kernel_tables(carriers, *lateral_hand_impedance(get_probe(condition.probe)))
-    result = kernel_contact.compute_linear_contact(kernel, tables, tokens, columns)
+    result = compiled_field.compute_linear_contact(kernel, tables, tokens, columns)
     return LinearContact(result.power, result.normal, resonance, result.noise, SpectralLines(result.lines, result.low))
 
 

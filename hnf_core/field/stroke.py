@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ, Action, ForceCurve
 from ..errors import StrokeError
-from ..kernel import compiled_carriers as kernel_hop
+from ..kernel import compiled_carriers
 from ..kernel.loader import load_kernel
 from ..material.contact_model import MECHANICS_LIMITS, Mechanics
 from ..material.probe import PROBE_NAMES, is_probe
@@ -430,7 +430,7 @@ def extrapolate_position(action: Action, start: int, count: int) -> Float:
     kernel = load_kernel()
     if kernel is not None:
         path = np.ascontiguousarray(action.position, dtype=np.float64)
-        return kernel_hop.interpolate_position(kernel, path, SAMPLES_PER_STATE, start, count)
+        return compiled_carriers.interpolate_position(kernel, path, SAMPLES_PER_STATE, start, count)
     sample = start + np.arange(count)
     last = (len(action.position) - 1) * SAMPLES_PER_STATE
     ends = interpolate_cubic(action.position, np.array([0.0, 1.0, last - 1.0, last]) / SAMPLES_PER_STATE)

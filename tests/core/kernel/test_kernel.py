@@ -34,8 +34,7 @@ from hnf_core.field.prepare import prepare_stroke
 from hnf_core.field.render import render_samples
 from hnf_core.field.stroke import extrapolate_position, interpolate_condition, resample_action
 from hnf_core.field.weights import load_field
-from hnf_core.kernel import compiled_carriers as kernel_hop
-from hnf_core.kernel import loader
+from hnf_core.kernel import compiled_carriers, loader
 from hnf_core.kernel.compiled_carriers import ArcHop, ArcReader, CarrierTables, TimeHop
 from hnf_core.kernel.compiled_carriers import draw_bins as compiled_bins
 from hnf_core.kernel.compiled_carriers import render_real_waves as compiled_waves
@@ -281,7 +280,7 @@ def test_a_hop_that_it_would_misread_never_reaches_it():
     place, waves = np.linspace(0.0, 0.05, HOP + 2 * REACH_SAMPLES), get_time_hop(CARRIERS, 1, 0)
 
     def asked(at=at, amplitude=amplitude, place=place, waves=waves, kernel=none, piece=None):
-        return kernel_hop.render_hops(
+        return compiled_carriers.render_hops(
             kernel, tables, at, amplitude, 0, place, [waves], piece or (lambda octave, number: None)
         )
 
@@ -305,7 +304,7 @@ def test_a_hop_that_it_would_misread_never_reaches_it():
         with pytest.raises(ValueError, match="piece"):
             asked(kernel=compiled, piece=lambda *_: ArcHop.from_waves(np.ones((24, 9), np.complex64)))
     with pytest.raises(ValueError, match="states"):
-        kernel_hop.interpolate_position(none, np.zeros(1), 50, 0, 10)
+        compiled_carriers.interpolate_position(none, np.zeros(1), 50, 0, 10)
     given = {
         "margin": np.array([0, 6, 10]), "time_band": np.zeros(3, int), "time_bands": np.zeros(3, int),
         "cells_per_m": np.ones(8), "half_band": np.ones(12, np.float32), "cubic": np.ones((4, 4), np.float32),
