@@ -42,10 +42,22 @@ def program_file(word: str) -> Path | None:
     return ROOT / word if word.startswith(("tools/", "tests/")) else None
 
 
+def find_lost_paths(text: str) -> list[str]:
+    """Paths of the packages that a text names in backticks and that are not there; * stands for any name."""
+    named = [word for word in INLINE.findall(text) if re.fullmatch(r"hnf_(core|blender)/[\w./*-]*", word)]
+    return [word for word in named if not any(ROOT.glob(word.rstrip("/")))]
+
+
 def anchors(page: Path) -> set[str]:
     """Of its headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.+)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name)
+def test_named_files_of_the_packages_are_there(page: Path) -> None:
+    assert find_lost_paths("`hnf_core/none.py`, `hnf_core/files.py`, `hnf_core/*.py`") == ["hnf_core/none.py"]
+    assert find_lost_paths(prose(page)) == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
