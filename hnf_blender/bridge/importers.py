@@ -542,7 +542,7 @@ def check_usd_meshes(path: Path) -> None:
         try:
             layer = Sdf.Layer.FindOrOpen(str(path))
         except Tf.ErrorException as error:
-            raise _damaged_file_error(path, "it cannot be parsed") from error
+            raise make_damaged_error(path, "it cannot be parsed") from error
         try:
             stage = Usd.Stage.Open(layer)
         except Tf.ErrorException:  # a file that it refers to cannot be parsed, which costs only what is in that
@@ -558,11 +558,12 @@ def _check_usd_mesh(path: Path, mesh: Any, time: Any) -> None:
     name = mesh.GetPrim().GetName()
     wanted = int(counts.sum(dtype=np.int64))
     if counts.min(initial=0) < 0 or wanted != len(corners):
-        raise _damaged_file_error(
+        raise make_damaged_error(
             path, f"the faces of mesh '{name}' want {wanted} corners, and {len(corners)} are there"
         )
-    if corners.min(initial=0) < 0 or corners.max(initial=-1) >= len(points):
-        raise _damaged_file_error(path, f"a face of mesh '{name}' names a point that is not among its {len(points)}")
+    # Without any points Blender makes a mesh without any.
+    if corners.min(initial=0) < 0 or (len(points) and corners.max(initial=-1) >= len(points)):
+        raise make_damaged_error(path, f"a face of mesh '{name}' names a point that is not among its {len(points)}")
 
 
 def _find_importer(suffix: str, path: Path) -> Callable[..., Any]:
