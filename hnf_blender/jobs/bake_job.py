@@ -24,8 +24,7 @@ from ..state.addon_settings import get_cache_folder
 from ..state.job_results import QueryView
 from ..state.session_state import STATE, JobStatus, LastJob
 from ..translations import tr
-from . import manager
-from .bake_process import BakeProcess, begin_job
+from .bake_process import BakeProcess, begin_job, end_process, set_process
 from .child_job import (
     ChildJob,
     ChildProcess,
@@ -107,7 +106,7 @@ class BakeJob(ChildJob):
 
     def cancel(self) -> LastJob:
         """Cancel the job; its process is killed, its files are removed and the scene is not changed."""
-        manager.end_process()
+        end_process()
         if self._prepared.request.probe_object:
             return self._finish(LastJob(True, tr("Nothing was examined."), is_cancelled=True))
         message = tr("Bake canceled. Nothing was changed; finished close-ups are kept.")
@@ -145,7 +144,7 @@ class BakeJob(ChildJob):
     def _release_process(self) -> None:
         """Leave the process to the next job."""
         if self._child is not None:
-            manager.set_process(self._child)
+            set_process(self._child)
             self._child = None
 
     def _commit(self) -> LastJob | None:

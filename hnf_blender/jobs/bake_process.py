@@ -18,7 +18,6 @@ from pathlib import Path
 from hnf_core.child_process import CORE_FOLDER
 from hnf_core.errors import FileError
 
-from . import manager
 from .child_job import (
     PROCESS_FOLDER_PREFIX,
     ChildProcess,
@@ -113,7 +112,7 @@ class BakeProcess(ChildProcess):
 
     @property
     def has_ended_between_jobs(self) -> bool:
-        """Whether it ended after a job, before it began the one that it was given; all messages have been read then."""
+        """True if it ended after a job, before it began the one that it was given; all messages have been read then."""
         return self._job_count > 1 and not self._has_begun and self.exit_code() is not None
 
     def _write_if_waiting(self) -> None:
@@ -128,10 +127,40 @@ class BakeProcess(ChildProcess):
         _remove_folders(removed)
 
 
+_waiting_process: BakeProcess | None = None
+
+
+def get_process() -> BakeProcess | None:
+    """Return the process that waits for the next bake; None if there is none, or if it has ended."""
+    is_alive = _waiting_process is not None and _waiting_process.exit_code() is None
+    return _waiting_process if is_alive else None
+
+
+def take_process() -> BakeProcess | None:
+    """Return the process that waits for the next bake, which is the caller's from then on."""
+    global _waiting_process
+    process, _waiting_process = _waiting_process, None
+    return process
+
+
+def set_process(process: BakeProcess) -> None:
+    """Set the process that waits for the next bake, and end the one before."""
+    global _waiting_process
+    end_process()
+    _waiting_process = process
+
+
+def end_process() -> None:
+    """End the process that waits for the next bake, if there is one."""
+    process = take_process()
+    if process is not None:
+        process.end()
+
+
 def begin_job(job_folder: Path, request: JobRequest) -> BakeProcess:
     """Begin a job in the process that waits for one, or in a new one. Raises FileError if none can be started."""
     conditions = find_conditions(request)
-    process = manager.take_process()
+    process = take_process()
     if process is not None:
         if process.conditions == conditions and process.begin(job_folder):
             return process

@@ -28,7 +28,7 @@ from ..touch.bake_storage import check_hidden, check_validity, clear_bake, count
 from ..touch.report import Freshness, StrokeStatus
 from ..touch.session import GatheredJobs, Session, StrokeJob, add_scene_notes, gather_curve_jobs, make_scene_session
 from ..translations import tr
-from . import manager
+from .bake_process import get_process
 from .job_runner import is_up_to_date
 
 CHILD_START_SECONDS = 4.0
@@ -64,7 +64,7 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
         needed.append(job)
         description = tr("stroke '{name}' on '{surface}'").format(name=job.name, surface=job.object_name)
         lines.append(PlanLine("needed", description, _explain_status(status)))
-    if needed and manager.get_process() is None:
+    if needed and get_process() is None:
         seconds += CHILD_START_SECONDS
     for failure in gathered.failed:
         obj = find_object(scene, failure.stroke)

@@ -21,12 +21,10 @@ if TYPE_CHECKING:
     from hnf_core.touch_request import TouchQuery
 
     from .bake_job import BakeJob
-    from .bake_process import BakeProcess
     from .child_job import ChildJob
 
 AnyJob = TypeVar("AnyJob", bound="ChildJob")
 _current_job: ChildJob | None = None
-_waiting_process: BakeProcess | None = None
 
 
 def is_running() -> bool:
@@ -92,35 +90,10 @@ def cancel() -> bool:
 
 def close() -> None:
     """Cancel the running job, and end the process that waits for the next one."""
+    from .bake_process import end_process
+
     cancel()
     end_process()
-
-
-def get_process() -> BakeProcess | None:
-    """Return the process that waits for the next bake; None if there is none, or if it has ended."""
-    is_alive = _waiting_process is not None and _waiting_process.exit_code() is None
-    return _waiting_process if is_alive else None
-
-
-def take_process() -> BakeProcess | None:
-    """Return the process that waits for the next bake, which is the caller's from then on."""
-    global _waiting_process
-    process, _waiting_process = _waiting_process, None
-    return process
-
-
-def set_process(process: BakeProcess) -> None:
-    """Set the process that waits for the next bake, and end the one before."""
-    global _waiting_process
-    end_process()
-    _waiting_process = process
-
-
-def end_process() -> None:
-    """End the process that waits for the next bake, if there is one."""
-    process = take_process()
-    if process is not None:
-        process.end()
 
 
 _preload_thread: threading.Thread | None = None

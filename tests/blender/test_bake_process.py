@@ -47,14 +47,14 @@ from hnf_core.touch_request import TouchQuery
 
 def waiting() -> int:
     """The process that waits."""
-    process = manager.get_process()
+    process = bake_process.get_process()
     assert process is not None
     return process.pid
 
 
 def until_ended() -> int:
     """The exit code of the process that waits, once it has ended by itself."""
-    process, until = manager._waiting_process, time.monotonic() + 30.0
+    process, until = bake_process._waiting_process, time.monotonic() + 30.0
     while process.exit_code() is None and time.monotonic() < until:
         time.sleep(0.01)
     return process.exit_code()
@@ -65,7 +65,7 @@ def baked_from(path: Path, *, fresh: bool) -> dict:
     bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
     if fresh:
         manager.close()
-    assert (manager.get_process() is None) == fresh
+    assert (bake_process.get_process() is None) == fresh
     ended = bake()
     assert ended.ok, ended
     return kept()
@@ -153,7 +153,7 @@ def test_one_process_does_bakes_and_queries(warm_bake) -> None:
     stroke.hnf_stroke.seed = 5
     again = start()
     assert again.pid == pid
-    assert manager.get_process() is None  # it works, so that it does not wait
+    assert bake_process.get_process() is None  # it works, so that it does not wait
     assert finish(again).ok
     query = manager.start_bake(bpy.context.scene, bpy.context.view_layer, (), TouchQuery(PLATE, (0.0, 0.0)))
     assert query.pid == pid
@@ -169,7 +169,7 @@ def test_it_ends_with_the_file_and_with_the_add_on(warm_bake) -> None:
         assert bake().ok
         pid = waiting()
         end()
-        assert manager.get_process() is None
+        assert bake_process.get_process() is None
         assert is_gone(pid)
         assert my_folders(PROCESS_FOLDER_PREFIX) == []
 
@@ -183,7 +183,7 @@ def test_it_ends_by_itself_and_another_follows(warm_bake, monkeypatch) -> None:
             stroke.hnf_stroke.seed += 1
             assert bake().ok
             assert until_ended() == NOTHING_TAKEN
-            assert manager.get_process() is None
+            assert bake_process.get_process() is None
             assert my_folders(PROCESS_FOLDER_PREFIX) == []
     stroke.hnf_stroke.seed += 1
     assert bake().ok
@@ -195,7 +195,7 @@ def test_a_job_given_to_one_just_ending_is_done_by_another(warm_bake, monkeypatc
     monkeypatch.setattr(bake_process, "MAX_MEMORY_BYTES", 1e6)
     assert bake().ok
     until_ended()
-    ended, before = manager.take_process(), kept()
+    ended, before = bake_process.take_process(), kept()
     # As if it had been written to just before it looked at its memory.
     begin = [lambda folder, _: (ended.begin(folder), ended)[1], bake_job.begin_job]
     monkeypatch.setattr(bake_job, "begin_job", lambda *arguments: begin.pop(0)(*arguments))
@@ -267,7 +267,7 @@ def test_one_whose_job_failed_or_was_cancelled_is_replaced(warm_bake, monkeypatc
     manager.cancel()
     assert is_gone(pid)
     assert job.pid is None
-    assert manager.get_process() is None
+    assert bake_process.get_process() is None
     assert my_folders() == my_folders(PROCESS_FOLDER_PREFIX) == []
 
 
@@ -282,7 +282,7 @@ def test_one_whose_results_were_refused_is_ended(warm_bake) -> None:
     manager.cancel()
     assert is_gone(pid)
     assert kept() == NOTHING
-    assert manager.get_process() is None
+    assert bake_process.get_process() is None
 
 
 def test_other_conditions_need_another_process(warm_bake, tmp_path, monkeypatch) -> None:

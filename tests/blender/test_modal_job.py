@@ -10,6 +10,7 @@ import pytest
 from job_scene import LIMIT_S, NOTHING, is_gone, kept, kill, my_folders, reach, small_scene
 
 from hnf_blender.jobs import manager as current
+from hnf_blender.jobs.bake_process import get_process
 from hnf_blender.ops.modal_job import ModalJob, poll_no_job
 from hnf_blender.state.session_state import STATE, LastJob
 from hnf_core.errors import HnfError
@@ -111,7 +112,7 @@ def test_a_job_that_runs_lets_events_pass_and_ends_by_itself(begun) -> None:
     assert list(kept()["bakes"]) == ["Along"]
     assert screen.is_bare
     assert my_folders() == []
-    assert current.get_process().pid == pid  # it waits for the next
+    assert get_process().pid == pid  # it waits for the next
     assert poll_no_job(operator)
     current.close()
     assert is_over(screen, pid)

@@ -98,7 +98,7 @@ class Ending:
 
 def busy_children() -> list[int]:
     """Those of its children that are not the bake's process, where that waits for the next bake."""
-    process = ours("jobs.manager").get_process()
+    process = ours("jobs.bake_process").get_process()
     waiting = [] if process is None else [process.pid, *children(process.pid)]
     return [pid for pid in children() if pid not in waiting]
 

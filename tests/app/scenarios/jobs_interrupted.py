@@ -125,7 +125,7 @@ def check_a_second_bake_finds_its_process(stage):
             stage.measured(f"one changed stroke {what}, click → kept", took, "s")
             stage.measured(f"one changed stroke {what}, click → sound", time.monotonic() - pressed, "s")
         stage.expect("it is kept", kept() != before and state().last_job.ok, state().last_job)
-        pids.append(ours("jobs.manager").get_process().pid)
+        pids.append(ours("jobs.bake_process").get_process().pid)
     stage.expect("each process does all bakes until it is ended", len(set(pids[:2])) == len(set(pids[2:])) == 1, pids)
     stage.expect("which it was once", pids[0] != pids[2], pids)
     scenery.empty_room()

@@ -53,7 +53,7 @@ def check_a_click_beside_everything_goes_on_waiting(stage):
 
 def check_esc_gives_a_look_up(stage):
     state().query_view = None
-    ours("jobs.manager").end_process()  # the one that waits might be done before the key comes
+    ours("jobs.bake_process").end_process()  # the one that waits might be done before the key comes
     with stage.over():
         bpy.ops.hnf.probe("INVOKE_DEFAULT")
     yield 0.2

@@ -407,9 +407,9 @@ def _bake_stroke(scene: Any, layer: Any, name: str) -> None:
 
 def _read_cpu_with_child() -> float:
     """Return the processor time of this thread and of the process that waits for a bake [s]; Linux tells the latter."""
-    from hnf_blender.jobs import manager
+    from hnf_blender.jobs.bake_process import get_process
 
-    process, own_s = manager.get_process(), time.thread_time()
+    process, own_s = get_process(), time.thread_time()
     stat = Path("/proc") / ("" if process is None else str(process.pid)) / "stat"
     if process is None or not stat.is_file():
         return own_s

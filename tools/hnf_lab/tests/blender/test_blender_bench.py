@@ -10,6 +10,7 @@ from job_scene import my_folders
 
 from hnf_blender.cli import main
 from hnf_blender.jobs import manager
+from hnf_blender.jobs.bake_process import get_process
 from hnf_blender.state.session_state import STATE
 from hnf_blender.touch.bake_patches import FIRST_PASS_PIXELS, PATCH_PIXELS
 from hnf_lab.bench.harness import BenchOptions
@@ -47,7 +48,7 @@ def test_every_kind_of_call_is_seen_and_nothing_is_left():
     } <= rows.keys()  # fmt: skip
     first, again = rows[waiting_times.FIRST_BAKE], rows[waiting_times.NEXT_BAKE]
     assert (again.ratio_to, again.ratio.count) == (first.method, 1)
-    assert manager.get_process() is None
+    assert get_process() is None
     assert rows["handler"].seconds.count > 1
     assert rows["tick, child at work"].seconds.count > 1
     assert all(row.seconds.lowest > 0.0 for row in rows.values())

@@ -62,7 +62,7 @@ def unpack(data: bytes) -> dict[str, bytes]:
         return {}
 
 
-def test_the_document_of_binary_gltf_is_damaged_under_right_lengths() -> None:
+def test_the_document_of_a_glb_is_damaged_under_right_lengths() -> None:
     whole = fuzz._join_glb(b'{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}]}', b"rest")
     found = []
     for number in range(100):
