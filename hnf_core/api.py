@@ -527,7 +527,7 @@ def export(
     from .export.options import DEFAULT_FULL_SCALE_M_S2, ExportOptions
 
     file = Path(fspath(path))
-    form = format_of_file(file) if format is None else format_of(format)
+    form = format_of_file(file, is_written=True) if format is None else format_of(format)
     options = ExportOptions(
         DEFAULT_FULL_SCALE_M_S2 if full_scale is None else full_scale,
         full_scale_assumed=form.scaled and full_scale is None,

@@ -6,6 +6,7 @@ earlier file.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import os
@@ -201,9 +202,19 @@ def _try_lock(stream: IO[str]) -> bool:
             import fcntl
 
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
+    except OSError as error:
+        if error.errno in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK):
+            return False
+        raise FileError(
+            f"it cannot be locked ({error.strerror}).", where=stream.name,
+            remedy="Give an --out on a disk of this machine.",
+        ) from error  # fmt: skip
     return True
+
+
+def escape_surrogates(text: str) -> str:
+    r"""Return JSON text with bytes of file names that are no UTF-8 (lone surrogates) as escapes, ``\udce9``."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 _LFS_HEAD = b"version https://git-lfs.github.com/spec/"

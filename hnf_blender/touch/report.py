@@ -13,7 +13,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from hnf_core.files import write_text
+from hnf_core.files import escape_surrogates, write_text
 from hnf_core.progress import add_work
 
 SCHEMA = "hnf-touch-report-2"
@@ -201,7 +201,7 @@ class Report:
     def as_json(self) -> str:
         """Return the report as JSON."""
         record = {"schema": SCHEMA, **asdict(self)}
-        return json.dumps(_replace_non_finite(record), indent=1, ensure_ascii=False) + "\n"
+        return escape_surrogates(json.dumps(_replace_non_finite(record), indent=1, ensure_ascii=False)) + "\n"
 
     def write(self, folder: Path) -> None:
         """Write report.json into a folder."""

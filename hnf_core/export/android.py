@@ -230,7 +230,7 @@ def store_android_xml(path: Path, envelope: Envelope, signal: Signal, options: E
         f'durationMs="{(this - before) * MIN_POINT_MS}" />'
         for before, this in pairwise(points)
     ]
-    comment = encode_provenance(signal, options).replace("--", "- -")
+    comment = encode_provenance(signal, options).replace("--", "-\\u002d")  # "--" ends an XML comment
     head = f'  <basic-envelope-effect initialSharpness="{tone[0]:.6g}">'
     body = ["<vibration-effect>", head, *lines, "  </basic-envelope-effect>", "</vibration-effect>", ""]
     text = "\n".join([f"<!-- {comment} -->", *body])
@@ -259,7 +259,7 @@ def load_android_xml(path: Path, options: ImportOptions) -> EnvelopeFile:
     refuse_pointer(data, path)
     root = parse_xml(data, str(path))
     comment = _COMMENT.search(data.decode("utf-8", "replace"))
-    origin = parse_provenance(comment[1].replace("- -", "--") if comment else None, options)
+    origin = parse_provenance(comment[1] if comment else None, options)
     effect = root.find("vibration-effect") if root.tag == "vibration-select" else root
     if effect is None or effect.tag != "vibration-effect":
         raise FileError(

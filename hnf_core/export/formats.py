@@ -187,11 +187,14 @@ def find_loader(path: Path) -> Loader | None:
     return FOREIGN_LOADERS.get(suffix) or next(matching, None)
 
 
-def format_of_file(path: Path) -> Format:
-    """Return the format to read `path` with, by its suffix. Raises UsageError if the suffix is unknown."""
+def format_of_file(path: Path, *, is_written: bool = False) -> Format:
+    """Return the format to read `path` with, or to write it in, by its suffix. Raises UsageError for an unknown one."""
     matching = [form for form in FORMATS.values() if form.suffix == path.suffix.lower()]
     if matching:
         return matching[0]
+    suffixes = sorted({form.suffix for form in FORMATS.values()}) if is_written else SUFFIXES
+    done = "written" if is_written else "read"
     raise UsageError(
-        f"{path.name}: files of the kind '{path.suffix}' cannot be read.", remedy=f"Give one of {', '.join(SUFFIXES)}."
+        f"{path.name}: files of the kind '{path.suffix}' cannot be {done}.",
+        remedy=f"Give one of {', '.join(suffixes)}.",
     )

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..errors import FileError
-from ..files import write_bytes
+from ..files import escape_surrogates, write_bytes
 from ..signal import Signal
 from ..units import m_to_mm
 from .gltf import build_vertex_table, encode_surface, find_vertices_on_path
@@ -278,13 +278,15 @@ def make_texture(
     exponents = [exponent for exponent in TEXTURE_EXPONENTS if 1 <= round(speed / 10.0**exponent) <= MAX_TIMESCALE]
     if not exponents:
         raise FileError(f"a mean speed of {speed:g} m/s fits no timescale.", where=where, remedy=_REMEDY)
-    tick = 10.0 ** exponents[0]
+    # The finest of which no more samples come than are written; if there is none, writing says so.
+    exponent = next((each for each in exponents if path.length_m / 10.0**each < MAX_WRITTEN_SAMPLES), exponents[0])
+    tick = 10.0**exponent
     moving = np.flatnonzero(np.diff(path.distance, prepend=-1.0) > 0.0)
     distance = np.arange(int(path.length_m / tick + 1e-6) + 1) * tick  # 1e-6: 20 mm come out as 1999.9999999 ticks
     time = np.interp(distance, path.distance[moving], path.time[moving])
     grid = np.arange(len(signal.samples)) / signal.sample_rate
     samples = np.interp(time, grid, signal.samples.astype(np.float64)) if len(grid) else np.zeros(0)
-    return VibrotactileTexture(samples.astype(np.float32), round(speed / tick), exponents[0], vertices, mesh)
+    return VibrotactileTexture(samples.astype(np.float32), round(speed / tick), exponent, vertices, mesh)
 
 
 def texture_to_signal(signal: Signal, texture: VibrotactileTexture) -> Signal:
@@ -349,11 +351,11 @@ def _select_facts(provenance: Mapping[str, str]) -> dict[str, str]:
 
 
 def _dump_compact_json(facts: Mapping[str, Any]) -> str:
-    return json.dumps(facts, separators=(",", ":"), ensure_ascii=False)
+    return escape_surrogates(json.dumps(facts, separators=(",", ":"), ensure_ascii=False))
 
 
 def _truncate_text(text: str) -> str:
-    return text.encode()[:MAX_TEXT_BYTES].decode(errors="ignore")
+    return text.encode("utf-8", "replace")[:MAX_TEXT_BYTES].decode(errors="ignore")
 
 
 Float = NDArray[np.float64]

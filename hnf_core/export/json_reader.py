@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FileError
-from ..files import refuse_pointer, write_bytes
+from ..files import escape_surrogates, refuse_pointer, write_bytes
 
 MAX_JSON_BYTES = 32 * 2**20
 """Largest file [bytes]: a quarter of an hour of control points every 5 ms; a stroke takes kilobytes."""
@@ -62,7 +62,7 @@ def write_json(path: Path, record: dict[str, Any], *, indent: int | None = 1) ->
     """
     separators = (",", ":") if indent is None else None
     text = json.dumps(record, indent=indent, separators=separators, ensure_ascii=False, allow_nan=False)
-    data = (text + "\n").encode()
+    data = (escape_surrogates(text) + "\n").encode()
     if len(data) > MAX_JSON_BYTES:
         why = f"it would be {len(data) / 2**20:.0f} MB of text, and {MAX_JSON_BYTES / 2**20:.0f} are read again."
         raise FileError(why, where=str(path), remedy="Split the signal, or write WAV.")

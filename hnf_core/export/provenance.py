@@ -15,7 +15,7 @@ from typing import Any
 
 from .. import __version__
 from ..errors import FileError
-from ..files import content_hash
+from ..files import content_hash, escape_surrogates
 from ..signal import Signal
 from .envelope import CARRIER_DESCRIPTION, Envelope, render_envelope
 from .json_reader import read_json, write_json
@@ -55,7 +55,7 @@ def make_provenance_record(signal: Signal, options: ExportOptions | None) -> dic
 
 def encode_provenance(signal: Signal, options: ExportOptions | None) -> str:
     """Return units, scale, seed, rate and provenance of a signal as one line of JSON (see `make_provenance_record`)."""
-    return json.dumps(make_provenance_record(signal, options), ensure_ascii=False)
+    return escape_surrogates(json.dumps(make_provenance_record(signal, options), ensure_ascii=False))
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ LIMITS = {
     "token": (-LARGEST_VALUE, LARGEST_VALUE),
     **MECHANICS_LIMITS,
     "profile height [m]": (-1e6, 1e6),
+    "profile seam [m]": (-1e6, 1e6),
     "profile origin [m]": (-1e7, 1e7),
     "profile step [m]": (1e-9, 1e6),
     "resolved wavelength [m]": (0.0, 1e6),
@@ -197,6 +198,7 @@ def _bounded_values(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float
     if profile is not None:
         yield "profile step [m]", np.array([profile.step_m])
         yield "profile height [m]", profile.height
+        yield "profile seam [m]", np.zeros(0) if profile.seam is None else profile.seam
         yield "profile origin [m]", np.array([profile.origin_m])
         yield "resolved wavelength [m]", np.array([profile.resolved_wavelength_m])
 

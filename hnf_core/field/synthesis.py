@@ -69,7 +69,8 @@ def synthesise(
     sample_rate
         Sample rate of the output [Hz].
     tolerance
-        Largest RMS error due to interpolated amplitudes, relative to the RMS of the stroke; None for exact evaluation.
+        Largest RMS error due to interpolated amplitudes, relative to the RMS of the stroke; None for exact evaluation,
+        as it is with a warning where `supports_tolerance` is False.
 
     Returns
     -------
@@ -130,6 +131,8 @@ def make_result(
     provenance = {"probe": stroke.action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
     signal = Signal(output.astype(np.float32), float(sample_rate), prepared.seed, provenance)
     warnings += (*rate_warnings, *tolerance_warning(prepared.residual_power, tolerance))
+    if tolerance is not None and prepared.knots is None:
+        warnings += ("The tolerance has no say over this stroke: the field is evaluated at every state.",)
     return Synthesis(signal, confidence, warnings)
 
 
@@ -391,6 +394,8 @@ def is_same_path(earlier: RenderedStroke, field: Field, stroke: StrokeInput, see
         if scales[0] != scales[1]:
             return False
         pairs.append((stroke.profile.height, old.profile.height))
+        seams = [np.zeros(0) if each.seam is None else each.seam for each in (stroke.profile, old.profile)]
+        pairs.append((seams[0], seams[1]))
     elif stroke.profile is not old.profile:
         return False
     return all(first is second or np.array_equal(first, second) for first, second in pairs)

@@ -128,6 +128,7 @@ NOISE = np.random.default_rng(0).normal(size=10_000)
         (lambda path: hnf.load_material("nowhere.hnf"), "nowhere.hnf"),
         (lambda path: hnf.read_signal("nowhere.wav"), "nowhere.wav"),
         (lambda path: hnf.export(path.with_suffix(".xyz"), SIGNAL), "xyz"),
+        (lambda path: hnf.export(path.with_suffix(".haps"), SIGNAL), "'.haps' cannot be written"),
         (lambda path: hnf.metrics.welch([1.0, 2.0]), "rate"),
         (lambda path: hnf.metrics.welch([1.0, 2.0], 10_000), "less than one window"),
         (lambda path: hnf.metrics.st_sim(SIGNAL.samples, SIGNAL, 8000), "not 8000 Hz"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -215,3 +216,27 @@ def test_what_is_lossless_is_told_in_a_sentence(tmp_path: Path, wav: Path, capsy
         lines = capsys.readouterr().out.splitlines()
         assert lines[1].startswith("Every sample reads back as it was: ")
         assert all(line.startswith("- ") for line in lines[2:])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="file names there are no bytes")
+@pytest.mark.parametrize("word", WORDS)
+def test_names_that_are_no_text_are_written_and_read(tmp_path: Path, word: str) -> None:
+    wav, folder = tmp_path / "in.wav", Path(os.fsdecode(os.fsencode(tmp_path) + b"/g\xe9"))
+    folder.mkdir()
+    name = os.fsdecode(b"rub---left-\xe9")
+    signal = replace(texture(0.2), provenance={**FACTS, "stroke": name})
+    write_wav(wav, signal)
+    out = folder / f"out{FORMATS[word].suffix}"
+    assert hnf("export", wav, "--format", word, "--out", out, "--full-scale", 20) == 0
+    assert hnf("import", out, "--out", tmp_path / "again.wav") == 0
+    assert read_wav(tmp_path / "again.wav").provenance["stroke"].startswith("rub---left-")
+
+
+def test_a_channel_of_three_is_imported(tmp_path: Path) -> None:
+    axes = tmp_path / "axes.wav"
+    words = ("synth", "--material", "cork", "--stroke", "left-right-soft", "--axes", "--out", axes)
+    assert hnf(*words) == 0
+    for channel in (1, 2, 3):
+        assert hnf("import", axes, "--channel", channel, "--out", tmp_path / f"{channel}.wav") == 0
+    levels = [read_wav(tmp_path / f"{channel}.wav").rms for channel in (1, 2, 3)]
+    assert len(set(levels)) == 3
