@@ -16,6 +16,7 @@ import argparse
 import os
 import sys
 import uuid
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,8 @@ TONE_COUNT = 20
 DISPLAYED_SLOPES, TRUE_SLOPES = (0.04, 0.5), (2e-4, 0.06)
 """RMS slopes as drawn and as they are, smoothest and roughest; in between, interpolated over the logarithm of the true
 one. The grain of glass and the pile of a carpet must both be visible and differ."""
+MOST_ROUGHNESS = 0.4
+"""Largest RMS slope of roughness as drawn, as a fraction of that of ribs or weaves beside it."""
 PITCH_M = 2.0 * TILE_SIZE_M / TILE_PIXELS
 LIGHT_DIRECTION = np.array([-0.6, 0.55, 0.58])
 PRESSED_COLOUR, LIFTED_COLOUR = np.array([0.98, 0.55, 0.16]), np.array([0.25, 0.45, 0.85])
@@ -52,13 +55,18 @@ LINE_WIDTH_PX = 2.2
 def draw_material_preview(material: LibraryMaterial) -> PreviewImage:
     """Draw a patch of 7.5 mm of a material under a raking light.
 
-    A sphere would show only the colour; the patch shows the relief under a finger.
+    A sphere would show only the colour; the patch shows the relief under a finger. What is regular in it, by which
+    ribs, weaves and knurls are known at a glance, is not drowned in roughness.
     """
-    crop = 2 * PREVIEW_PIXELS
-    height = height_map(SurfaceRecipe.from_dict(material.recipe), material.seed)[:crop, :crop].astype(np.float64)
-    height = height.reshape(PREVIEW_PIXELS, 2, PREVIEW_PIXELS, 2).mean(axis=(1, 3))
+    recipe = SurfaceRecipe.from_dict(material.recipe)
+    height = _render_patch(replace(recipe, lattices=()), material.seed)
+    if recipe.lattices:
+        regular = _render_patch(replace(recipe, noise=(), grains=()), material.seed)
+        rough_slope, regular_slope = compute_slope(height), compute_slope(regular)
+        height *= min(1.0, MOST_ROUGHNESS * regular_slope / max(rough_slope, 1e-12))
+        height += regular
     rows, columns = np.gradient(height, PITCH_M)
-    slope = max(float(np.sqrt(np.mean(rows**2 + columns**2))), 1e-9)
+    slope = max(compute_slope(height), 1e-9)
     displayed_slope = np.interp(np.log10(slope), np.log10(TRUE_SLOPES), DISPLAYED_SLOPES)
     normal = np.stack([-columns, rows, np.full_like(rows, slope / displayed_slope)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -74,6 +82,18 @@ def draw_material_preview(material: LibraryMaterial) -> PreviewImage:
     tint = colour if (appearance.metallic or 0.0) > 0.5 else np.ones(3)
     linear = np.clip(tone[..., None] * colour + highlight[..., None] * tint, 0.0, 1.0)
     return _add_alpha(np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)[::-1])
+
+
+def _render_patch(recipe: SurfaceRecipe, seed: int) -> NDArray[np.float64]:
+    """Render the heights (PREVIEW_PIXELS, PREVIEW_PIXELS) [m] that a preview shows, means of two by two pixels."""
+    crop = 2 * PREVIEW_PIXELS
+    height = height_map(recipe, seed)[:crop, :crop].astype(np.float64)
+    return np.asarray(height.reshape(PREVIEW_PIXELS, 2, PREVIEW_PIXELS, 2).mean(axis=(1, 3)))
+
+
+def compute_slope(height: NDArray[np.float64]) -> float:
+    """Compute the RMS slope of heights [m] that lie PITCH_M apart."""
+    return float(np.sqrt(np.mean(np.square(np.gradient(height, PITCH_M)).sum(axis=0))))
 
 
 def draw_stroke_preview(path: PlanarPath) -> PreviewImage:
