@@ -9,10 +9,8 @@ from __future__ import annotations
 import argparse
 import atexit
 import contextlib
-import faulthandler
 import importlib.util
 import os
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -88,40 +86,7 @@ def _start_blender(verb: str, scene: Path | None) -> None:
         from .bridge.importers import check_scene_file
 
         check_scene_file(scene)  # a mistyped path fails before Blender starts
-        if "bpy" not in sys.modules:
-            _report_crash(scene)
     _register_properties()
-
-
-_WATCHER = """import signal, sys
-signal.signal(signal.SIGINT, signal.SIG_IGN)
-if b"Fatal Python error" in sys.stdin.buffer.read():
-    print(sys.argv[1], file=sys.stderr)
-"""
-
-
-def _report_crash(scene: Path) -> None:
-    """Start a process that says in one line which file was open, should Blender's own code end this process.
-
-    Blender believes what a file says of itself: a damaged one may end the process, of which nothing else would tell.
-    """
-    if faulthandler.is_enabled():
-        return
-    line = (
-        f"hnf: {scene}: Blender itself broke down on it, which damaged files do. Open it in Blender and save it anew, "
-        "or export it again."
-    )
-    order = [sys.executable, "-I", "-S", "-c", _WATCHER, line]
-    # In a session of its own: Ctrl-C is not for it.
-    watcher = subprocess.Popen(order, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True)
-    assert watcher.stdin is not None
-    faulthandler.enable(watcher.stdin, all_threads=False)
-
-    def end() -> None:
-        faulthandler.disable()
-        watcher.communicate()
-
-    atexit.register(end)
 
 
 def run_export(arguments: argparse.Namespace) -> int:

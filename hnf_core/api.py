@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .action.action import Action as GridAction
 from .action.action import action_from_table, check_plausibility, read_action_table
+from .action.parse_stroke import parse_stroke as parse_stroke
 from .action.primitives import Primitive
 from .errors import FileError, HnfError, UsageError, check_seed
 from .field.field import Field
@@ -127,7 +128,7 @@ class Action:
         time, direction, speed = (np.asarray(each) for each in (self.time_s, self.direction_rad, self.speed_m_s))
         position = None if self.position_m is None else np.asarray(self.position_m)
         for message in check_plausibility(time, direction, speed, position):
-            warnings.warn(message, stacklevel=4)  # of the caller, behind __init__
+            warnings.warn(message, stacklevel=3)  # of the caller, behind __init__
 
     @property
     def duration_s(self) -> float:
@@ -291,34 +292,6 @@ def load_material(path: PathText) -> Material:
     return Material(entry.name, entry.token, entry.mechanics, field)
 
 
-def parse_stroke(text: str) -> Primitive:
-    """Read a stroke from words, or by the name of one of the eight primitives (predefined strokes).
-
-    Parameters
-    ----------
-    text : str
-        For example ``"rub-slow"`` or ``"scrape left to right, 1.5 N, 80 mm/s"``.
-
-    Returns
-    -------
-    Primitive
-
-    Raises
-    ------
-    UsageError
-        For words that are not understood.
-
-    Examples
-    --------
-    >>> import hnf_core as hnf
-    >>> hnf.parse_stroke("scrape left to right, 1.5 N, 80 mm/s").speed
-    0.08
-    """
-    from .action.parse_stroke import parse_stroke as parse
-
-    return parse(text)
-
-
 def read_action(path: PathText, probe: str = "pen") -> Action:
     """Read an action from a CSV table with the columns time_s, direction_rad, speed_m_s and force_n.
 
@@ -345,11 +318,16 @@ def read_action(path: PathText, probe: str = "pen") -> Action:
     >>> import hnf_core as hnf
     >>> hnf.read_action("stroke.csv")  # doctest: +SKIP
     """
-    messages: list[str] = []
-    table = read_action_table(Path(fspath(path)), messages.append)
-    for message in messages:
+    source, messages = Path(fspath(path)), list[str]()
+    table = read_action_table(source, messages.append)
+    columns = table.time, table.direction, table.speed, table.force
+    action_from_table(*columns, position=table.position, probe=probe, where=str(source), lines=table.lines)
+    with warnings.catch_warnings(record=True) as doubts:
+        warnings.simplefilter("always")
+        action = Action(*columns, probe, table.position)
+    for message in (*messages, *(f"{source.name}: {doubt.message}" for doubt in doubts)):
         warnings.warn(message, stacklevel=2)
-    return Action(table.time, table.direction, table.speed, table.force, probe, table.position)
+    return action
 
 
 def synthesise(
@@ -769,13 +747,17 @@ def touch(
     # This package may not import the add-on, which depends on it: the command is looked up by name, as by a shell.
     program = import_module("hnf_blender" + ".cli")
     report = Path(fspath(out)) / "report.json"
-    before = report.stat() if report.is_file() else None  # A file that is written atomically is another one.
-    if program.main(arguments) != 0 and (not report.is_file() or report.stat() == before):
-        raise HnfError("the scene could not be touched; the lines above say why.", where=str(fspath(scene)))
+    before = report.stat().st_ino if report.is_file() else None  # A file that is written atomically is another one.
+    is_whole = program.main(arguments) == 0
+    if not is_whole and (not report.is_file() or report.stat().st_ino == before):
+        raise HnfError("the scene could not be touched; the lines above say why.", where=fspath(scene))
     try:
         content: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FileError(f"the report cannot be read ({error}).", where=str(report)) from error
+    has_lost = any(stroke.get("off_surface", 0.0) > 0.0 for stroke in content.get("strokes", ()))
+    if not is_whole and not (content.get("failed") or has_lost):  # What it tells is not all that was to be done.
+        raise HnfError("the scene was not touched to the end; the lines above say why.", where=fspath(scene))
     return content
 
 

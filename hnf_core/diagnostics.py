@@ -109,5 +109,7 @@ MIN_TRAINING_PYTHON = (3, 11)
 """Oldest Python version that training runs on."""
 
 
-TRAINING_PACKAGES = {"numpy": "numpy>=1.24", "safetensors": "safetensors==0.8.0", "torch": "torch==2.13.0"}
+TRAINING_PACKAGES = {
+    "numpy": "numpy>=1.24", "safetensors": "safetensors==0.8.0", "soxr": "soxr==1.1.0", "torch": "torch==2.13.0",
+}  # fmt: skip
 """Packages that `hnf train field` imports, with pip's requirement as pinned in pyproject.toml."""

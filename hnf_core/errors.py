@@ -102,6 +102,9 @@ SEED_LIMIT = 2**63
 
 def check_seed(seed: object) -> None:
     """Raise UsageError unless a seed is a whole number from 0 to SEED_LIMIT − 1."""
-    is_whole = hasattr(seed, "__index__") and not isinstance(seed, bool)
-    if not (is_whole and 0 <= index(seed) < SEED_LIMIT):  # type: ignore[arg-type]
+    try:
+        is_seed = type(seed).__name__ not in ("bool", "bool_") and 0 <= index(seed) < SEED_LIMIT  # type: ignore[arg-type]
+    except TypeError:
+        is_seed = False
+    if not is_seed:
         raise UsageError(f"seed {seed!r:.40}: not a whole number from 0 to 2^63 − 1.", remedy="Give e.g. 0.")

@@ -547,7 +547,7 @@ def check_usd_meshes(path: Path) -> None:
             stage = Usd.Stage.Open(layer)
         except Tf.ErrorException:  # a file that it refers to cannot be parsed, which costs only what is in that
             return
-        prims = [*stage.TraverseAll(), *(prim for each in stage.GetPrototypes() for prim in Usd.PrimRange(each))]
+        prims = [*stage.Traverse(), *(prim for each in stage.GetPrototypes() for prim in Usd.PrimRange(each))]
         for mesh in [UsdGeom.Mesh(prim) for prim in prims if prim.IsA(UsdGeom.Mesh)]:
             _check_usd_mesh(path, mesh, Usd.TimeCode.EarliestTime())
 

@@ -8,6 +8,7 @@ a second.
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -90,10 +91,10 @@ def cancel() -> bool:
 
 def close() -> None:
     """Cancel the running job, and end the process that waits for the next one."""
-    from .bake_process import end_process
-
     cancel()
-    end_process()
+    bake_process = sys.modules.get(f"{__package__}.bake_process")  # Not imported for it, since nothing was baked then.
+    if bake_process is not None:
+        bake_process.end_process()
 
 
 _preload_thread: threading.Thread | None = None

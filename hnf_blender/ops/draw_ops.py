@@ -221,7 +221,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # Blender's
             np.array([getattr(sample, name) for sample in self.stroke]) for name in ("time", "pressure", "touching")
         )
         points = np.array([tuple(sample.location) for sample in self.stroke], dtype=np.float64)
-        names = [sample.name if sample.touching else "" for sample in self.stroke]
+        names = [(sample.name or self.surface) if sample.touching else "" for sample in self.stroke]
         chosen = [self._get_surface(context, name) for name in choose_touched(names, points)]
         if len(chosen) > 1:
             touching &= np.isin(names, [obj.name for obj in chosen])

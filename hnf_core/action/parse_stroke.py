@@ -57,7 +57,7 @@ def parse_stroke(words: str) -> Primitive:
     Parameters
     ----------
     words : str
-        Description, or name, of a stroke.
+        Description of a stroke, for example ``"scrape left to right, 1.5 N, 80 mm/s"``, or its name (``"rub-slow"``).
 
     Returns
     -------
@@ -69,6 +69,12 @@ def parse_stroke(words: str) -> Primitive:
     ------
     UsageError
         Names the unknown word, with close ones, or the two that contradict each other.
+
+    Examples
+    --------
+    >>> import hnf_core as hnf
+    >>> hnf.parse_stroke("scrape left to right, 1.5 N, 80 mm/s").speed
+    0.08
     """
     primitive = make_primitive(parse_steps(words))
     if primitive.steps:

@@ -40,9 +40,9 @@ REST_SPEED_M_S = 1e-3
 MIN_DURATION_S = 0.1
 """Shortest recording [s]."""
 MIN_SAMPLING_HZ = 2000.0
+"""Least sampling rate of an accelerometer [Hz]; a slower one does not cover the band of touch."""
 LIMITED_SHARE = 0.99
 """Fraction of the signal's rate below which a sensor's rate limits what is known of the touch."""
-"""Least sampling rate of an accelerometer [Hz]; a slower one does not cover the band of touch."""
 LONG_GAP_S = 5e-3
 """Gap between samples of an acceleration that cuts a recording in two [s]."""
 GAP_STEPS = 3.0

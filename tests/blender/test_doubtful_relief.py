@@ -276,7 +276,7 @@ def test_a_grey_normal_map_is_named_with_its_remedy(tmp_path):
     grey = np.random.default_rng(1).uniform(0.2, 0.4, (64, 64, 1)).repeat(3, axis=-1)
     normal_plate(grey)
     felt = feel(tmp_path, *PLASTIC)
-    assert "'map' is a grey picture" in felt["notes"]
+    assert "'map' is a gray picture" in felt["notes"]
     assert "is kept" not in felt["notes"]
     assert "Bump node" in felt["notes"]
     assert felt["level"] < 1.0

@@ -436,7 +436,7 @@ def test_units() -> None:
 def test_implausible_sizes_are_said() -> None:
     cup = add_plane("Cup", 9.0)
     assert "object 'Cup' is 12.7 m across" in str(get_size_warning(cup, 1.0))
-    assert "centimetres, one unit is 0.01 m" in str(get_size_warning(cup, 1.0))
+    assert "centimeters, one unit is 0.01 m" in str(get_size_warning(cup, 1.0))
     assert get_size_warning(cup, 0.01) is None
     assert "1.27 mm across" in str(get_size_warning(cup, 1e-4))
     cup.scale = (0.01, 0.01, 0.01)

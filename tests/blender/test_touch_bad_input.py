@@ -485,32 +485,6 @@ def test_a_wrong_scene_is_told_before_blender_starts(tmp_path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.skipif(os.name != "posix", reason="ends itself by signals")
-@pytest.mark.parametrize(
-    ("end", "code", "said"),
-    [
-        ("ctypes.string_at(0)", -signal.SIGSEGV, 1),
-        ("os.abort()", -signal.SIGABRT, 1),
-        ("os.kill(os.getpid(), signal.SIGFPE)", -signal.SIGFPE, 1),
-        ("os.kill(os.getpid(), signal.SIGKILL)", -signal.SIGKILL, 0),
-        ("os.killpg(0, signal.SIGINT)", -signal.SIGINT, 0),
-        ("sys.exit(3)", 3, 0),
-        ("pass", 0, 0),
-    ],
-)
-def test_a_file_on_which_blender_dies_is_named(end: str, code: int, said: int) -> None:
-    program = (
-        "import ctypes, os, signal, sys; from pathlib import Path; from hnf_blender import cli; "
-        f"cli._report_crash(Path('bad.blend')); {end}"
-    )
-    order = [sys.executable, "-c", program]
-    run = subprocess.run(order, cwd=ROOT, capture_output=True, text=True, start_new_session=True)
-    told = [line for line in run.stderr.splitlines() if line.startswith("hnf:")]
-    assert (run.returncode, len(told)) == (code, said), run.stderr
-    assert "Fatal" not in run.stderr
-    assert all("bad.blend: Blender itself broke down on it" in line for line in told)
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [(("--stroke", "rub-slow"), "Say where each stroke goes"), (("--on", PLATE), "Say which stroke goes there")],

@@ -210,7 +210,7 @@ def test_a_table_keeps_its_short_tap_and_its_way_back(tmp_path: Path) -> None:
 def test_a_table_in_degrees_is_warned_of(tmp_path: Path) -> None:
     table = tmp_path / "degrees.csv"
     table.write_text("time_s,direction_rad,speed_m_s,force_n\n0,90,0.1,1\n1,180,0.1,1\n", encoding="utf-8")
-    with pytest.warns(UserWarning, match="in degrees"):
+    with pytest.warns(UserWarning, match=r"degrees\.csv: .*in degrees"):
         hnf.read_action(table)
 
 

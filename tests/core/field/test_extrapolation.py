@@ -276,7 +276,7 @@ def test_a_spike_in_a_long_recording_is_not_training():
 
 @pytest.mark.parametrize("actions", [[], [make_steady_action(1 / ACTION_RATE_HZ, 0.0, 1.0)]])
 def test_data_without_a_stroke_is_refused(actions):
-    with pytest.raises(StrokeError, match="no training stroke ever moves"):
+    with pytest.raises(StrokeError, match="no recorded stroke ever moves"):
         compute_training_ranges(actions, TOKENS, MECHANICS)
 
 

@@ -172,8 +172,9 @@ def test_beyond_the_limits_is_refused_by_name(name, side):
             parts["tokens"] = np.where(np.arange(TOKEN_DIM) == 3, np.float32(wrong), token)[None]
         elif name in mechanics:
             parts["mechanics"] = (dataclasses.replace(WOOD, **{mechanics[name]: wrong}),)
-        elif name == "profile height [m]":
-            parts["profile"] = dataclasses.replace(profile, height=np.array([0.0, wrong, 0.0, 0.0]))
+        elif name in ("profile height [m]", "profile seam [m]"):
+            part = "height" if name == "profile height [m]" else "seam"
+            parts["profile"] = dataclasses.replace(profile, **{part: np.array([0.0, wrong, 0.0, 0.0])})
         else:
             parts["profile"] = dataclasses.replace(profile, **{profiles[name]: wrong})
         words = (
