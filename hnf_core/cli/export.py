@@ -154,6 +154,8 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = refuse_scene) -
     load = None if is_wav or arguments.scene is not None else find_loader(arguments.file)
     if load is not None and form.store is not None:
         return _convert(arguments, load, form, full_scale, range_hz)
+    if not form.scaled and (arguments.full_scale is not None or arguments.range is not None):
+        print(f"hnf: note: {form.word!r} keeps m/s², so --full-scale and --range have no say.", file=sys.stderr)
     if form.fit is not None and full_scale is not None:
         raise UsageError(
             f"the format '{form.word}' finds its full scale in the signal: --full-scale and --profile have no place.",

@@ -36,7 +36,9 @@ def wav(tmp_path: Path) -> Path:
 def test_out_and_in_again(tmp_path: Path, wav: Path, word: str, capsys: pytest.CaptureFixture[str]) -> None:
     out, again = tmp_path / f"out{FORMATS[word].suffix}", tmp_path / "again.wav"
     assert hnf("export", wav, "--format", word, "--out", out, "--full-scale", 20, "--json") == 0
-    record = json.loads(capsys.readouterr().out)
+    printed = capsys.readouterr()
+    record = json.loads(printed.out)
+    assert ("have no say" in printed.err) == (not FORMATS[word].scaled)
     assert (record["format"], record["file"]) == (word, str(out))
     assert record["full_scale_m_s2"] == (20.0 if FORMATS[word].scaled else None)
     assert record["loss"]["before"]["duration_s"] == pytest.approx(0.4)
