@@ -100,8 +100,8 @@ def test_a_python_that_lacks_something_is_told_what_to_type(tmp_path) -> None:
     bare = program(tmp_path / "bare", f'exec "{sys.executable}" -S -I "$@"')
     found = check_python(bare)
     assert found.version == ".".join(map(str, sys.version_info[:3]))
-    assert found.missing == ("numpy", "safetensors", "torch")
-    assert found.problem == "It lacks numpy, safetensors, torch"
+    assert found.missing == ("numpy", "safetensors", "soxr", "torch")
+    assert found.problem == "It lacks numpy, safetensors, soxr, torch"
     assert found.command.startswith(f'"{bare}" -m pip install "numpy>=')
     assert '"torch==' in found.command
 
@@ -111,7 +111,8 @@ def test_a_python_that_lacks_something_is_told_what_to_type(tmp_path) -> None:
     [
         ("echo Hello", "It is not a Python"),
         ('echo \'@hnf python {"version": "x"}\'', "It is not a Python"),
-        ('echo \'@hnf python {"version": [3, 9, 1], "found": {"numpy": "1", "safetensors": "", "torch": ""}}\'',
+        ('echo \'@hnf python {"version": [3, 9, 1], "found": {"numpy": "1", "safetensors": "", "soxr": "", '
+         '"torch": ""}}\'',
          "It is Python 3.9.1, and 3.11 or newer is needed"),
     ],
 )  # fmt: skip
