@@ -234,10 +234,13 @@ class Walk:
     # ---- undo
 
     def read_state(self) -> dict[str, object]:
-        """Return what an artist would miss: strokes with their curves, keys, settings and bakes; choices; tokens."""
+        """Return what an artist would miss: strokes with their curves, keys, settings and bakes; choices; tokens.
+
+        Linked data are another file's: Blender's undo of a link leaves them in the file, without a user.
+        """
         kept: dict[str, object] = {}
         for obj in bpy.data.objects:
-            if obj.hnf_stroke.is_stroke:
+            if obj.hnf_stroke.is_stroke and obj.library is None:
                 keys = [
                     (curve.data_path, [tuple(key.co) for key in curve.keyframe_points]) for curve in fcurves_of(obj)
                 ]
@@ -249,9 +252,9 @@ class Walk:
                     settings,
                     None if baked is None else hash(bytes(baked)),
                 )
-        for mesh in bpy.data.meshes:
+        for mesh in (each for each in bpy.data.meshes if each.library is None):
             kept[f"mesh {mesh.name_full}"] = TOKEN_ATTRIBUTE in mesh.attributes
-        for material in bpy.data.materials:
+        for material in (each for each in bpy.data.materials if each.library is None):
             kept[f"choice {material.name_full}"] = material.hnf_touch.library
         return kept
 
