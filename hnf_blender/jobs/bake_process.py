@@ -1,7 +1,7 @@
 """Child process that bakes: a second Blender, kept between jobs, so that only the first one waits for its start.
 
 Each job is one line that the process reads, the job's folder; a job opens its own copy of the file, so it finds nothing
-of the one before. `manager` holds the process that waits, one at most. It is ended with the open file, with the add-on,
+of the one before. At most one process waits (`get_process`). It is ended with the open file, with the add-on,
 and where a job failed or was cancelled; by itself after IDLE_S, if it holds more than MAX_MEMORY_BYTES, and as soon as
 this process ends.
 """

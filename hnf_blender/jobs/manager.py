@@ -1,6 +1,4 @@
-"""Manager of the running job, one at a time, independent of the operator that started it, and of the waiting process.
-
-The process that did the last bake waits for the next one, see `bake_process.py`.
+"""Manager of the running job: one at a time, independent of the operator that started it.
 
 It also loads, in a thread, the modules that jobs and the panels' stroke statuses need: importing them takes a third of
 a second.

@@ -310,7 +310,7 @@ class ActionTable:
 def read_action_table(path: Path, warn: Callable[[str], None]) -> ActionTable:
     """Read the columns of a table as `read_action_csv` does, but keep its own rows.
 
-    warn: called with a message for values that seem to have another unit. Raises FileError.
+    warn: called with a message if forces below 0 are taken for noise. Raises FileError.
     """
     lines: Sequence[int] = ()
     try:

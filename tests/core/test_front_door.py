@@ -133,6 +133,7 @@ NOISE = np.random.default_rng(0).normal(size=10_000)
         (lambda path: hnf.metrics.welch([1.0, 2.0], 10_000), "less than one window"),
         (lambda path: hnf.metrics.st_sim(SIGNAL.samples, SIGNAL, 8000), "not 8000 Hz"),
         (lambda path: hnf.metrics.st_sim(SIGNAL, SIGNAL.samples, 8000), "not 8000 Hz"),
+        (lambda path: hnf.metrics.st_sim(SIGNAL, hnf.Signal(SIGNAL.samples, 8000.0, 0)), "two rates"),
         (lambda path: hnf.metrics.welch(SIGNAL, 2000), "not 2000 Hz"),
         (lambda path: hnf.metrics.welch(np.ones(10_000), 10), "kHz"),
         (lambda path: hnf.metrics.welch(np.ones(10_000), "10000"), "no sample rate"),

@@ -83,16 +83,7 @@ def check_a_stroke_goes_over_to_a_neighbor(stage):
         bpy.ops.hnf.stroke_tool()
     yield 0.3
     path = [stage.seen_at((-0.05 + 0.008 * k, 0.006, 0.0)) for k in range(16)]
-    yield from stage.move(path[0])
-    stage.event("LEFTMOUSE", "PRESS", path[0])
-    for k, at in enumerate(path[1:]):
-        yield 0.04
-        stage.event("MOUSEMOVE", "NOTHING", at)
-        if k == 10:
-            yield 0.2
-            stage.photograph("over-the-seam")
-    yield 0.05
-    stage.event("LEFTMOUSE", "RELEASE", path[-1])
+    yield from stage.drag(path, pause=0.04)
     yield from stage.until("a stroke is there", lambda: len(strokes()) == 1, 10.0)
     stage.expect(
         "it has no surface of its own", strokes()[0].hnf_stroke.surface is None, strokes()[0].hnf_stroke.surface
