@@ -246,7 +246,7 @@ MAX_ACTION_S = 86_400.0
 MAX_TURNS, MAX_STEP_S = 2.0, 1.5
 """Limits of direction [turns] and of the median time step [s] beyond which a table's units are doubted."""
 MAX_HAND_SPEED_M_S = 5.0
-"""Speed beyond which a table's unit is doubted [m/s]; fast strokes reach 1, and what flies no longer touches."""
+"""Speed beyond which a table's unit is doubted [m/s]."""
 WAY_DIFFERENCE, LEAST_WAY_M = 0.05, 1e-3
 """Relative and absolute [m] difference of the ways by speed and by position from which a table contradicts itself."""
 _CSV_REMEDY = f"Give the header {','.join(CSV_COLUMNS)} and one row of four numbers per time."

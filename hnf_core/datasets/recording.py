@@ -79,7 +79,7 @@ class Recording:
 
 
 LOUDEST_RMS_M_S2 = 300.0
-"""RMS from which an acceleration's unit is doubted [m/s²]; the loudest recorded textures have some 30."""
+"""RMS from which an acceleration's unit is doubted [m/s²], some 30 times gravity."""
 
 
 def find_doubts(recordings: Iterable[Recording]) -> list[str]:

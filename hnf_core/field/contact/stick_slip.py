@@ -58,7 +58,7 @@ variance."""
 LEAST_MOVING_STATES = 50
 """States of slow motion (0.25 s) from which a span counts; faster starts and stops have no time to wind up the hand."""
 LONG_WINDING_S = 4.0
-"""Time between two slips from which a stroke begins between them [s]; quicker ones follow the first at once."""
+"""Time between two slips from which a stroke begins between them, and not with one [s]."""
 SHORTEST_WAVE_M = 20e-6
 """Shortest wave of that fluctuation [m], as of the simulator's map: a slow tip would make it audible."""
 FORCE_SEED = 0x571C_511B
