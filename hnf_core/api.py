@@ -603,7 +603,7 @@ class OutputStream:
     """An actuator opened by `open_stream`, on which signals are played."""
 
     def __init__(self, target: str, profile: str, gain_db: float) -> None:
-        from .actuators.profile_json import load_profile
+        from .actuators.profile import load_profile
         from .actuators.sources import db_to_gain
         from .actuators.stream_targets import parse_target
 

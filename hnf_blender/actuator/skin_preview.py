@@ -211,8 +211,7 @@ class SkinPreview:
             self._estimate(key, signal, profile, virtual)
 
     def _estimate(self, key: object, signal: Signal, profile: ActuatorProfile, virtual: bool) -> None:
-        from hnf_core.actuators.profile import USER_PROFILE_NAME
-        from hnf_core.actuators.profile_json import load_profile
+        from hnf_core.actuators.profile import USER_PROFILE_NAME, load_profile
         from hnf_core.errors import HnfError
 
         # The panel's copy of a profile has no response, so the file is read.

@@ -106,7 +106,7 @@ def _read_mtime(path: str, _when: int) -> int:
 
 @lru_cache(maxsize=4)
 def _read_profile(path: str, _mtime: int) -> ActuatorProfile:
-    from hnf_core.actuators.profile_json import read_profile
+    from hnf_core.actuators.profile import read_profile
 
     try:
         if not path.lower().endswith(".json"):

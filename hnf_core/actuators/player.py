@@ -49,8 +49,7 @@ from .player_messages import (
     decode_command,
     encode,
 )
-from .profile import USER_PROFILE_NAME, ActuatorProfile, make_user_profile
-from .profile_json import load_profile
+from .profile import USER_PROFILE_NAME, ActuatorProfile, load_profile, make_user_profile
 from .sink import SinkFormat
 from .sources import BufferSource, db_to_gain, read_acceleration
 from .stream import Stream

@@ -14,8 +14,7 @@ from ..actuators.measure.build_profile import MeasuredProfile, make_datasheet_pr
 from ..actuators.measure.frequency_response import estimate_response
 from ..actuators.measure.inverse_filter import BandError, compute_band_errors, compute_rms_db, find_largest_errors_db
 from ..actuators.output_prediction import DEFAULT_RANGE_HZ, compute_band_changes, simulate_output
-from ..actuators.profile import GENERIC, PROFILES, ActuatorProfile
-from ..actuators.profile_json import load_profile, write_profile
+from ..actuators.profile import GENERIC, PROFILES, ActuatorProfile, load_profile, write_profile
 from ..actuators.sources import Acceleration, to_acceleration
 from ..actuators.stream_targets import (
     AudioTarget,

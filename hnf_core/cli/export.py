@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..action.action import write_action_csv
-from ..actuators.profile import GENERIC, PROFILES
-from ..actuators.profile_json import load_profile
+from ..actuators.profile import GENERIC, PROFILES, load_profile
 from ..errors import UsageError
 from ..export.convert import ExportResult, convert_envelope, export_signal, import_signal
 from ..export.formats import FORMATS, Format, Loader, find_loader, format_of

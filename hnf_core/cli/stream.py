@@ -28,8 +28,7 @@ from ..actuators.limits import Limits
 from ..actuators.live_source import LiveSource
 from ..actuators.measure.inverse_filter import make_compensation
 from ..actuators.output_prediction import LimitingForecast, describe_peak_limit, predict_limiting
-from ..actuators.profile import GENERIC, ActuatorProfile
-from ..actuators.profile_json import load_profile
+from ..actuators.profile import GENERIC, ActuatorProfile, load_profile
 from ..actuators.signal_chain import Samples, SignalChain, Source
 from ..actuators.sink import SinkFormat
 from ..actuators.sources import Acceleration, BufferSource, TruncatedSource, db_to_gain, read_accelerations

@@ -232,7 +232,7 @@ def _parse_methods(words: list[str]) -> dict[str, Path]:
 
 def _run_session(arguments: argparse.Namespace) -> int:
     """Run `hnf study run`; return the exit code. Raises HnfError."""
-    from ..actuators.profile_json import load_profile
+    from ..actuators.profile import load_profile
     from ..actuators.stream_targets import FileTarget, parse_target
     from ..study.plan import load_plan
     from ..study.presentation import Keyboard, Output, find_max_gain_db, read_stimuli, run_session

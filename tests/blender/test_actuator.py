@@ -23,8 +23,7 @@ from hnf_blender.actuator.player_process import list_worker_commands
 from hnf_blender.actuator.sound import SWEEP_LEVEL_SHARE, make_test_sweep
 from hnf_blender.props import scene_settings
 from hnf_blender.props.scene_settings import get_actuator_profile
-from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, make_user_profile
-from hnf_core.actuators.profile_json import write_profile
+from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, make_user_profile, write_profile
 from hnf_core.errors import DeviceError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,8 +13,7 @@ from hnf_blender.props import scene_settings
 from hnf_blender.props.scene_settings import get_actuator_profile, get_shown_profile
 from hnf_blender.ui.actuator_panel import HNF_PT_actuator
 from hnf_blender.ui.preview_panel import HNF_PT_export
-from hnf_core.actuators.profile import GENERIC, ActuatorProfile
-from hnf_core.actuators.profile_json import write_profile
+from hnf_core.actuators.profile import GENERIC, ActuatorProfile, write_profile
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -17,8 +17,7 @@ from hnf_blender.actuator.skin_preview import (
 )
 from hnf_blender.props.scene_settings import read_file_profile
 from hnf_core.actuators.measure.frequency_response import FrequencyResponse
-from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.profile_json import read_profile, write_profile
+from hnf_core.actuators.profile import GENERIC, read_profile, write_profile
 from hnf_core.signal import Signal
 
 LIMIT_S = 20.0

@@ -12,8 +12,7 @@ import pytest
 from responses import of_gains
 
 from hnf_core.actuators.measure.frequency_response import Resonator
-from hnf_core.actuators.profile import GENERIC, ActuatorProfile
-from hnf_core.actuators.profile_json import load_profile, read_profile, write_profile
+from hnf_core.actuators.profile import GENERIC, ActuatorProfile, load_profile, read_profile, write_profile
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, UsageError
 from hnf_core.export.wav import read_wav, write_wav

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hnf_core.actuators.measure.build_profile import DATASHEET_USABLE_DB, make_datasheet_profile
 from hnf_core.actuators.measure.frequency_response import fit_resonance
 from hnf_core.actuators.output_prediction import simulate_output
-from hnf_core.actuators.profile_json import read_profile
+from hnf_core.actuators.profile import read_profile
 from hnf_core.cli.main import main
 from hnf_core.errors import UsageError
 from hnf_core.signal import Signal

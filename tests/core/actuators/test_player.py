@@ -39,8 +39,7 @@ from hnf_core.actuators.player_messages import (
     Swap,
     encode,
 )
-from hnf_core.actuators.profile import GENERIC, make_user_profile
-from hnf_core.actuators.profile_json import read_profile, write_profile
+from hnf_core.actuators.profile import GENERIC, make_user_profile, read_profile, write_profile
 from hnf_core.actuators.signal_chain import render_counts
 from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources import BufferSource, read_acceleration

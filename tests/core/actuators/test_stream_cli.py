@@ -19,8 +19,7 @@ import pytest
 from osc_receiver import receiver
 from ptys import needs_pty
 
-from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.profile_json import write_profile
+from hnf_core.actuators.profile import GENERIC, write_profile
 from hnf_core.actuators.signal_chain import render_counts
 from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources import BufferSource

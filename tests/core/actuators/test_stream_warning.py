@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from responses import of_gains
 
-from hnf_core.actuators.profile import GENERIC, make_user_profile
-from hnf_core.actuators.profile_json import write_profile
+from hnf_core.actuators.profile import GENERIC, make_user_profile, write_profile
 from hnf_core.cli.main import main
 from hnf_core.cli.stream import MAX_CHECKED_S, compute_checked_duration
 from hnf_core.export.wav import write_wav

@@ -30,8 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import read_action_csv
-from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.profile_json import read_profile, write_profile
+from hnf_core.actuators.profile import GENERIC, read_profile, write_profile
 from hnf_core.errors import FileError, HnfError
 from hnf_core.export.convert import import_signal
 from hnf_core.export.formats import FOREIGN_LOADERS, FORMATS, find_loader
