@@ -18,7 +18,6 @@ MODULES = (
     "stroke_ops",
     "force_ops",
     "preview_ops",
-    "scrub_ops",
     "scale_ops",
     "actuator_ops",
     "export_ops",

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from ..tables import MAX_MEASURABLE, is_measurable, is_number, parse_unit_factor
 from .data_files import find_files, read_head, read_xml
-from .hatt_models import TextureModel, read_texture_model
-from .hatt_synthesis import PROCESS_RATE_HZ, HattProcess
+from .hatt_models import PROCESS_RATE_HZ, HattProcess, TextureModel, read_texture_model
 from .recording import ActionRange, DataSet, Recording, compute_action_range, match_name, normalise_name
 from .time_series import SIGNAL_RATE_HZ, MeasuredSignal, assemble_recording
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_blender.jobs.query_job import QUERY_ICON, to_icon_pixels
-from hnf_blender.ops.scrub_ops import compute_fraction, compute_frame
+from hnf_blender.ops.preview_ops import compute_fraction, compute_frame
 from hnf_blender.preview import controller
 from hnf_blender.preview.preview_state import PREVIEW
 from hnf_blender.preview.stroke_image import SIZE_PX, ImageStyle

@@ -22,13 +22,12 @@ from hnf_blender.jobs.learn_job import LearnJob, MaterialSlot, assign_to_slot, c
 from hnf_blender.ops import learn_ops as python_ops
 from hnf_blender.ops.diagnose_ops import collect_diagnosis
 from hnf_blender.ops.learn_ops import LAST_CHOICES, HNF_OT_learn, HNF_OT_learn_run
-from hnf_blender.prefs import HnfPreferences
+from hnf_blender.prefs import HnfPreferences, draw_external_python
 from hnf_blender.preview.stroke_image import ImageStyle
 from hnf_blender.preview.synthesis_thread import RenderCache, read_current_bake, synthesise_preview
 from hnf_blender.state.addon_settings import Settings
 from hnf_blender.state.session_state import STATE
 from hnf_blender.touch.stroke_bake import load_bake
-from hnf_blender.ui.diagnose_panel import draw_external_python
 from hnf_blender.ui.materials_panel import draw_learn
 from hnf_core.datasets.registry import LICENCES
 from hnf_core.field.synthesis import synthesise_by_field

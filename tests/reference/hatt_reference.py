@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hnf_core.datasets.hatt_models import TextureModel
-from hnf_core.datasets.hatt_synthesis import FilterStates, Float, get_block_index
+from hnf_core.datasets.hatt_models import FilterStates, Float, TextureModel, get_block_index
 from hnf_lab.baselines.piecewise_ar import compute_power_spectrum
 
 

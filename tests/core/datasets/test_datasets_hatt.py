@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
-from hnf_core.datasets.hatt_models import polynomial_from_lsf, read_texture_model
-from hnf_core.datasets.hatt_synthesis import (
+from hnf_core.datasets.hatt_models import (
     HattProcess,
     _build_states,
     _draw_noise,
     interpolate_filters,
+    polynomial_from_lsf,
+    read_texture_model,
     synthesise_autoregressive,
 )
 from hnf_core.datasets.registry import open_dataset

@@ -22,8 +22,13 @@ from scipy.spatial import Delaunay
 from torch import Tensor
 
 from hnf_core.action.action import Action
-from hnf_core.datasets.hatt_models import TextureModel, lsf_from_polynomial, polynomial_from_lsf
-from hnf_core.datasets.hatt_synthesis import HattProcess, interpolate_filters
+from hnf_core.datasets.hatt_models import (
+    HattProcess,
+    TextureModel,
+    interpolate_filters,
+    lsf_from_polynomial,
+    polynomial_from_lsf,
+)
 from hnf_core.errors import FileError
 
 from .interface import Form, MaterialRecordings, Segments, cut_segments, render_by_duration

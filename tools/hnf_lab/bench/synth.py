@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from data_tools.bench_strokes import clear_carrier_caches, make_keyed_stroke
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.datasets.hatt_models import TextureModel
-from hnf_core.datasets.hatt_synthesis import HattProcess
+from hnf_core.datasets.hatt_models import HattProcess, TextureModel
 from hnf_core.errors import UsageError
 from hnf_core.field.adaptive_sampling import BATCH_SAMPLES, EvaluateAt, SampledEmission, interpolate_rows
 from hnf_core.field.carrier_rendering import render_carriers_full_rate
@@ -57,7 +56,7 @@ _LSF_STRAY, _LSF_SHIFT_RAD = 0.3, 0.7
 
 
 def synthesise_autoregressive(action: Action, seed: int) -> Float:
-    """Return a(t) at 10 kHz of a made-up texture, by HaTT's rule (hatt_synthesis)."""
+    """Return a(t) at 10 kHz of a made-up texture, by HaTT's rule (hatt_models)."""
     return HattProcess(make_texture_model()).record([action], seed)[0].samples
 
 

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.datasets.hatt import HattFolder
-from hnf_core.datasets.hatt_models import TextureModel
-from hnf_core.datasets.hatt_synthesis import interpolate_filters
+from hnf_core.datasets.hatt_models import TextureModel, interpolate_filters
 from hnf_core.datasets.simulated import SimulatedLibrary
 from hnf_core.errors import FileError, MaterialError
 from hnf_core.field.field import Field

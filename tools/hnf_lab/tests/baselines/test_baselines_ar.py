@@ -9,11 +9,11 @@ torch = pytest.importorskip("torch")
 
 from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
 from hnf_core.datasets.hatt_models import (
+    HattProcess,
     TextureModel,
     lsf_from_polynomial,
     polynomial_from_lsf,
 )
-from hnf_core.datasets.hatt_synthesis import HattProcess
 from hnf_core.datasets.recording import Recording
 from hnf_core.errors import FileError
 from hnf_lab.baselines import piecewise_ar as fitting
