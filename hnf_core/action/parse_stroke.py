@@ -2,7 +2,7 @@
 
 A small grammar of English. Text becomes tokens (`stroke_tokens.py`), tokens become clauses, and each clause with a
 motion of its own becomes a `Step`. Case, hyphens and the order of the words in a clause do not matter; "then" begins a
-new step, a comma or "and" where another motion follows. What is not said follows from the rest (`step_plan.py`).
+new step, a comma or "and" where another motion follows. What is not said follows from the rest (`primitive_path.py`).
 Unknown words, contradictions, and what says nothing of a motion, raise UsageError.
 """
 
@@ -78,7 +78,7 @@ def parse_stroke(words: str) -> Primitive:
     """
     primitive = make_primitive(parse_steps(words))
     if primitive.steps:
-        from .step_plan import plan_steps  # imported here because lists of strokes need no curves
+        from .primitive_path import plan_steps  # imported here because lists of strokes need no curves
 
         try:
             plan_steps(primitive.steps)

@@ -52,7 +52,7 @@ STILL = frozenset({"press", "tap", "drum", "pause", "lift"})
 
 @dataclass(frozen=True)
 class Step:
-    """One motion of a stroke in words; None is what was not said, and follows from the rest (`step_plan.py`).
+    """One motion of a stroke in words; None is what was not said, and follows from the rest (`primitive_path.py`).
 
     Attributes
     ----------

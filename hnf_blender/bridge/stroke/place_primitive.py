@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.action.curves import build_arc_curve, compute_smooth_handles, make_smooth_curve
-from hnf_core.action.primitive_path import PlanarPath, make_path_curve, make_primitive_path
+from hnf_core.action.primitive_path import PlanarPath, make_path_curve, make_plan_keyframes, make_primitive_path
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE, DEFAULT_PRIMITIVE_DOWN, Primitive, find_primitive
-from hnf_core.action.step_plan import make_plan_keyframes
 from hnf_core.action.stroke_placement import (
     CANDIDATE_SIZES_M,
     OPENNESS_M,
