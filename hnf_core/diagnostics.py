@@ -91,7 +91,7 @@ def hash_data_files() -> tuple[Fact, ...]:
     """Return content hashes of the material library and the diffusion weights; "not there" if a file is missing."""
     from .files import content_hash
     from .material.library import LIBRARY_PATH
-    from .tactile.diffusion.unet import DEFAULT_WEIGHTS
+    from .tactile.unet import DEFAULT_WEIGHTS
 
     def hash_of(path: Path) -> str:
         try:

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import hnf_core as hnf
-from hnf_core.export.plots.figure import compute_spectrogram
+from hnf_core.export.figure import compute_spectrogram
 from hnf_core.signal import Signal
 
 ROOT = Path(__file__).resolve().parent.parent

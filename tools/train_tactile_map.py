@@ -25,7 +25,7 @@ from hnf_core.datasets.recorded_pairs import load_recorded_pairs
 from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, concatenate_pairs, load_pairs
 from hnf_core.material.fuse import compute_library_spread
 from hnf_core.material.token import TOKEN_NAMES
-from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig
+from hnf_core.tactile.unet import DIFFUSION, REGRESSION, MapConfig
 from hnf_core.training.train_map import LEARNING_RATES, Distance, MapTrainingPlan, train_map, write_token_error
 
 BUILD = ROOT / "build"

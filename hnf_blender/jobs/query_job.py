@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.errors import FileError
-from hnf_core.export.plots.figure import stretch_contrast
+from hnf_core.export.figure import stretch_contrast
 from hnf_core.files import NPZ_ERRORS, write_bytes
 from hnf_core.material.fuse import format_routes
 from hnf_core.material.ranking import Suggestion

@@ -11,7 +11,7 @@ import numpy as np
 from hnf_core.action.crossing import can_step_over
 from hnf_core.action.pen_stroke import REST_S, spread_times_evenly
 from hnf_core.errors import SceneError
-from hnf_core.export.plots.figure import force_to_colour
+from hnf_core.export.figure import force_to_colour
 from hnf_core.units import m_to_mm
 
 from ..bridge.scene.object_size import filter_rendered, get_metres_per_unit

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
-from hnf_core.export.plots.figure import compute_spectrogram
+from hnf_core.export.figure import compute_spectrogram
 from hnf_core.signal import Signal
 from hnf_core.units import m_to_mm, power_to_db
 
@@ -65,7 +65,7 @@ FRAME_PX, PLAYHEAD_PX = 4, 2
 
 @dataclass(frozen=True)
 class Theme:
-    """Colors of the image, 0 to 1 each; force and speed have the hues of plots by `hnf_core.export.plots.figure`."""
+    """Colors of the image, 0 to 1 each; force and speed have the hues of plots by `hnf_core.export.figure`."""
 
     back: Colour
     ink: Colour

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hnf_core.action.curves import ArcCurve
 from hnf_core.errors import HnfError
-from hnf_core.export.plots.figure import Colour, force_to_colour
+from hnf_core.export.figure import Colour, force_to_colour
 
 from ..state.interface import HALO, WHITE, draw_disc
 

@@ -29,11 +29,11 @@ from hnf_core.material.library import Appearance
 from hnf_core.material.token import BAND_FEATURES, Token, band_slice
 from hnf_core.progress import Progress, ProgressCallback, ignore_progress
 from hnf_core.scene.camera import Patch
-from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict_tactile_maps
-from hnf_core.tactile.diffusion.unet import MapWeights, find_map_weights, load_map_weights
+from hnf_core.tactile.diffusion import DEFAULT_STEPS, predict_tactile_maps
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.optics import get_sensor, render_sensor_image
 from hnf_core.tactile.tactile_map import Route, TactileMap
+from hnf_core.tactile.unet import MapWeights, find_map_weights, load_map_weights
 from hnf_core.tactile.views import PITCHES_M, AppearanceView, cut_views, measure_contrast
 from hnf_core.threads import single_blas_thread
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from hnf_core.action.contacts import action_from_contacts
 from hnf_core.errors import FileError
-from hnf_core.export.plots.figure import MapThumbnail, average_squares, choose_thumbnail_step, make_thumbnail
-from hnf_core.export.plots.stroke_figure import StrokeView, write_stroke_figure
+from hnf_core.export.figure import MapThumbnail, average_squares, choose_thumbnail_step, make_thumbnail
+from hnf_core.export.stroke_figure import StrokeView, write_stroke_figure
 from hnf_core.export.wav import encode_wav, read_wav
 from hnf_core.files import content_hash, write_atomically, write_bytes
 from hnf_core.material.fuse import routes_by_band

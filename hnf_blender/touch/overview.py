@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.contacts import Contacts
-from hnf_core.export.plots.stroke_figure import StrokeView
+from hnf_core.export.stroke_figure import StrokeView
 from hnf_core.files import content_hash
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.rgbd_view import RgbdView

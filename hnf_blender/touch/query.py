@@ -19,7 +19,7 @@ import numpy as np
 
 from hnf_core.action.surface_point import SurfacePoint, find_point_at_uv, find_point_near, select_slot
 from hnf_core.errors import HnfError, pluralize
-from hnf_core.export.plots.figure import write_tactile_map_figure
+from hnf_core.export.figure import write_tactile_map_figure
 from hnf_core.field.features import token_distances
 from hnf_core.files import write_bytes
 from hnf_core.material.fuse import FusedToken, routes_by_band

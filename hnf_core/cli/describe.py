@@ -125,7 +125,7 @@ def run(arguments: argparse.Namespace) -> int:
         _write_height(arguments.height, tactile_map.height)
     record = make_record(described)
     if arguments.picture is not None:
-        from ..export.plots.figure import write_tactile_map_figure  # its imports are slow
+        from ..export.figure import write_tactile_map_figure
 
         nearest = described.ranked[0]
         write_tactile_map_figure(

@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING, Any
 from ..errors import UsageError
 from ..field.weights import save_field
 from ..progress import Progress, ProgressBar
-from ..tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, find_map_weights, refuse_package_data
+from ..tactile.unet import (
+    DIFFUSION,
+    REGRESSION,
+    MapConfig,
+    find_map_weights,
+    refuse_package_data,
+)
 from .commands import (
     HELP,
     LABORATORY_SUBJECTS,
@@ -256,7 +262,7 @@ def run(arguments: argparse.Namespace) -> int:
         for doubt in find_doubts(recordings):
             print(f"hnf: note: {doubt}", file=sys.stderr)
     trained, record = _train_field(arguments, kind, process, recordings)
-    from ..export.plots.figure import write_training_curve
+    from ..export.figure import write_training_curve
 
     save_field(arguments.out, trained.field)
     curve = arguments.out.with_suffix(".curve.png")

@@ -1,6 +1,6 @@
 """D_φ, the diffusion network that predicts tactile maps, in torch: its training batches, losses and sampling.
 
-The network computes the same as hnf_core.tactile.diffusion.unet does in numpy. Batches hold views under random
+The network computes the same as hnf_core.tactile.unet does in numpy. Batches hold views under random
 symmetries, with a random sensor and some of the appearance dropped.
 """
 
@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ..datasets.tactile_pairs import Pairs, vary_photograph
-from ..tactile.diffusion.predict import (
+from ..tactile.diffusion import (
     TRAIN_STEPS,
     NormalisedAppearance,
     alpha_bars,
@@ -27,7 +27,7 @@ from ..tactile.diffusion.predict import (
     normalise_appearance,
     velocity,
 )
-from ..tactile.diffusion.unet import HEADS, INPUT_CHANNELS, REGRESSION, MapConfig
+from ..tactile.unet import HEADS, INPUT_CHANNELS, REGRESSION, MapConfig
 
 Array = NDArray[np.float32]
 
@@ -191,7 +191,7 @@ def normalise_level(batch: Batch, config: MapConfig) -> Array:
 
 
 def sample_slopes(network: MapNetwork, batch: Batch, seed: int, steps: int) -> tuple[Array, Array]:
-    """Predict slopes (n, 2, 64, 64) of unit RMS and log10 RMS (n,) for a batch, as tactile.diffusion.predict does.
+    """Predict slopes (n, 2, 64, 64) of unit RMS and log10 RMS (n,) for a batch, as tactile.diffusion does.
 
     A diffusion network gives a random sample of the slopes and the median level, a regression network the mean of both.
     """

@@ -35,8 +35,8 @@ from ..files import content_hash
 from ..material.encoder_registry import describe_views, get_encoder
 from ..material.fuse import compute_library_spread
 from ..material.token import ENCODER_ID
-from ..tactile.diffusion.predict import make_tactile_map, predict_tactile_maps
-from ..tactile.diffusion.unet import (
+from ..tactile.diffusion import make_tactile_map, predict_tactile_maps
+from ..tactile.unet import (
     DIFFUSION,
     REGRESSION,
     TOKEN_ERROR,

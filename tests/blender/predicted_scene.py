@@ -18,7 +18,7 @@ from hnf_blender.touch.report import Report
 from hnf_blender.touch.session import StrokeJob, gather_jobs, make_scene_session
 from hnf_blender.touch.synthesise import bake_strokes
 from hnf_core.material.token import TOKEN_DIM
-from hnf_core.tactile.diffusion.unet import TOKEN_ERROR, MapConfig, save_map_weights
+from hnf_core.tactile.unet import TOKEN_ERROR, MapConfig, save_map_weights
 
 TEXEL = 0.1e-3
 PHOTO_PLATE = "Board"

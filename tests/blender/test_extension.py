@@ -25,7 +25,7 @@ from hnf_core.field.weights import DEFAULT_WEIGHTS, EVERY_ENCODER_WEIGHTS, HELD_
 from hnf_core.material.alexnet_encoder import DEFAULT_ENCODER
 from hnf_core.material.encoder_registry import PREFERRED_ENCODERS, get_default_encoder
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID
-from hnf_core.tactile.diffusion.unet import DEFAULT_WEIGHTS as DEFAULT_MAP_WEIGHTS
+from hnf_core.tactile.unet import DEFAULT_WEIGHTS as DEFAULT_MAP_WEIGHTS
 
 PACKAGE = "bl_ext.user_default.hnf"
 PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"

@@ -12,7 +12,7 @@ from touch_scene import line_stroke
 
 from hnf_blender.jobs.baked_data import make_plan
 from hnf_blender.state.session_state import STATE
-from hnf_core.tactile.diffusion.unet import DEFAULT_WEIGHTS
+from hnf_core.tactile.unet import DEFAULT_WEIGHTS
 
 pytestmark = pytest.mark.usefixtures("lone_bake")
 

@@ -39,7 +39,7 @@ from hnf_blender.preview.stroke_image import (
 from hnf_blender.preview.timeline_playback import FrameClock, PlacedSignal, has_jumped, mix_strokes
 from hnf_blender.state.interface import to_bytes
 from hnf_core.action.action import Action
-from hnf_core.export.plots.figure import FORCE_COLOUR, SPEED_COLOUR
+from hnf_core.export.figure import FORCE_COLOUR, SPEED_COLOUR
 from hnf_core.signal import Signal
 
 RATE = 10_000.0

@@ -388,7 +388,7 @@ def test_a_force_that_is_not_keyed_gets_two_keys_for_the_graph():
 
 def test_the_overlay_follows_the_force_and_the_playhead():
     from hnf_blender.tool.overlay_drawing import compute_overlay_path
-    from hnf_core.export.plots.figure import force_to_colour
+    from hnf_core.export.figure import force_to_colour
 
     plane = add_plane()
     stroke = add_stroke(LINE, speed_mm_s=60.0, surface=plane)

@@ -23,7 +23,7 @@ from touch_scene import (
 from hnf_blender.bridge.scene.stored_data import TOKEN_ATTRIBUTE, read_tokens
 from hnf_blender.touch import output_files
 from hnf_blender.touch.bake_plan import PreviousRun
-from hnf_core.export.plots.stroke_figure import write_stroke_figure
+from hnf_core.export.stroke_figure import write_stroke_figure
 
 
 def rms_of_one(scene, out, *words) -> float:

@@ -15,7 +15,7 @@ from hnf_blender.cli import main
 from hnf_blender.touch import output_files, overview
 from hnf_blender.touch.overview import MAX_STROKE_VIEWS, MIN_STROKE_FRACTION
 from hnf_core.errors import FileError
-from hnf_core.export.plots.stroke_figure import write_stroke_figure
+from hnf_core.export.stroke_figure import write_stroke_figure
 
 NOTHING = {"close_ups": 0, "renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
 PLACE = (0.04, 0.03, 0.02)

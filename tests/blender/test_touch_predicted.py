@@ -12,7 +12,7 @@ from predicted_scene import PHOTO_PLATE, TEXEL, photo_plate, small_weights, use_
 from touch_scene import line_stroke, save_scene, signals, touch
 
 from hnf_blender.touch import bake_patches
-from hnf_core.tactile.diffusion.unet import load_map_weights
+from hnf_core.tactile.unet import load_map_weights
 
 
 @pytest.fixture(autouse=True)

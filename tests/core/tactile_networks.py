@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from hnf_core.tactile.diffusion.unet import DIFFUSION, MapConfig, MapWeights, build_unet
+from hnf_core.tactile.unet import DIFFUSION, MapConfig, MapWeights, build_unet
 from hnf_core.tactile.views import PITCHES_M, AppearanceView
 
 SMALL = {"channels": (16, 24, 32), "embedding": 24, "groups": 4}

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hnf_core.export.plots import figure as module
-from hnf_core.export.plots.figure import (
+from hnf_core.export import figure as module
+from hnf_core.export.figure import (
     INK,
     choose_bar_length_mm,
     compute_contrast_gain,

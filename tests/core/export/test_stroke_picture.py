@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
 from hnf_core.errors import FileError
-from hnf_core.export.plots import stroke_figure as picture
-from hnf_core.export.plots.figure import compute_spectrogram, force_to_colour, make_thumbnail
-from hnf_core.export.plots.stroke_figure import StrokeView, write_stroke_figure
+from hnf_core.export import stroke_figure as picture
+from hnf_core.export.figure import compute_spectrogram, force_to_colour, make_thumbnail
+from hnf_core.export.stroke_figure import StrokeView, write_stroke_figure
 from hnf_core.signal import Signal
 from hnf_core.tactile.tactile_map import Route, TactileMap
 from hnf_core.units import linear_to_srgb
@@ -255,7 +255,7 @@ def test_no_display_no_pyplot_and_the_style_is_put_back(tmp_path: Path) -> None:
         "import matplotlib\n"
         "from pathlib import Path\n"
         "from test_stroke_picture import action, signal, view\n"
-        "from hnf_core.export.plots.stroke_figure import write_stroke_figure\n"
+        "from hnf_core.export.stroke_figure import write_stroke_figure\n"
         "style = lambda: {k: matplotlib.rcParams[k] for k in matplotlib.rcParams if k != 'backend'}\n"
         "before = style()\n"
         "write_stroke_figure(Path(sys.argv[1]), title='A', action=action(), signal=signal(), view=view())\n"

@@ -7,7 +7,7 @@ import pytest
 from hnf_core.field.weights import DEFAULT_WEIGHTS as FIELD
 from hnf_core.field.weights import EVERY_ENCODER_WEIGHTS, HELD_OUT_WEIGHTS, load_field, save_field
 from hnf_core.material.alexnet_encoder import DEFAULT_ENCODER, load_encoder, save_encoder
-from hnf_core.tactile.diffusion.unet import SHIPPED_WEIGHTS, load_map_weights, save_map_weights
+from hnf_core.tactile.unet import SHIPPED_WEIGHTS, load_map_weights, save_map_weights
 
 
 def copy_field(source: Path, target: Path) -> None:

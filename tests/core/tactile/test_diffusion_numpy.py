@@ -14,7 +14,7 @@ from tactile_networks import SMALL, architecture, look, random_parameters, rando
 
 from hnf_core.errors import FileError, UsageError, WeightsError
 from hnf_core.progress import count_work
-from hnf_core.tactile.diffusion.predict import (
+from hnf_core.tactile.diffusion import (
     alpha_bars,
     ddim_step,
     denoise,
@@ -25,7 +25,9 @@ from hnf_core.tactile.diffusion.predict import (
     sampling_steps,
     velocity,
 )
-from hnf_core.tactile.diffusion.unet import (
+from hnf_core.tactile.optics import SENSORS, decode_gradients
+from hnf_core.tactile.tactile_map import Route
+from hnf_core.tactile.unet import (
     DIFFUSION,
     REGRESSION,
     MapConfig,
@@ -33,8 +35,6 @@ from hnf_core.tactile.diffusion.unet import (
     load_map_weights,
     save_map_weights,
 )
-from hnf_core.tactile.optics import SENSORS, decode_gradients
-from hnf_core.tactile.tactile_map import Route
 from hnf_core.tactile.views import PITCHES_M
 
 

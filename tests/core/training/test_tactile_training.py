@@ -21,8 +21,9 @@ from hnf_core.datasets.tactile_pairs import SPLITS, get_shard_path, save_shard, 
 from hnf_core.errors import UsageError, WeightsError
 from hnf_core.material.fuse import compute_library_spread
 from hnf_core.material.token import LEVELS
-from hnf_core.tactile.diffusion.predict import normalise_view, predict_slopes
-from hnf_core.tactile.diffusion.unet import (
+from hnf_core.tactile.diffusion import normalise_view, predict_slopes
+from hnf_core.tactile.fourier_filters import frequencies
+from hnf_core.tactile.unet import (
     DEFAULT_WEIGHTS,
     DIFFUSION,
     REGRESSION,
@@ -31,7 +32,6 @@ from hnf_core.tactile.diffusion.unet import (
     load_map_weights,
     save_map_weights,
 )
-from hnf_core.tactile.fourier_filters import frequencies
 from hnf_core.training.map_network import (
     MapNetwork,
     apply_symmetry,

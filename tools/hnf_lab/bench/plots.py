@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.errors import UsageError
-from hnf_core.export.plots.figure import INK, MUTED, write_figure
+from hnf_core.export.figure import INK, MUTED, write_figure
 
 from .harness import Curve, Row, format_duration, group_curves
 

@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _run_touch(arguments)
     from dataclasses import replace
 
-    from hnf_core.tactile.diffusion.unet import load_map_weights
+    from hnf_core.tactile.unet import load_map_weights
 
     from ..evaluation.tactile_map.report import format_map_report, report_to_json, write_plots
     from ..evaluation.tactile_map.run import QUICK_SIZES, MapSetup, MapSizes, measure_maps
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _run_touch(arguments: argparse.Namespace) -> int:
     if not 1.0 <= arguments.width <= 10_000.0:
         raise UsageError(f"--width {arguments.width:g}.", remedy="Give 1 to 10000 millimeters.")
-    from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION
+    from hnf_core.tactile.unet import DIFFUSION, REGRESSION
     from hnf_core.units import mm_to_m
 
     from ..evaluation.tactile_map.end_to_end import compare_networks, format_networks, networks_to_json

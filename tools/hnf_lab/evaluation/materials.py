@@ -41,11 +41,11 @@ from hnf_core.simulation.appearance import (
 )
 from hnf_core.simulation.material_classes import CLASS_ENTRIES, get_category
 from hnf_core.simulation.surface_recipe import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map
-from hnf_core.tactile.diffusion.predict import predict_tactile_maps
-from hnf_core.tactile.diffusion.unet import load_map_weights
+from hnf_core.tactile.diffusion import predict_tactile_maps
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.optics import SENSORS
 from hnf_core.tactile.tactile_map import Route
+from hnf_core.tactile.unet import load_map_weights
 from hnf_core.tactile.views import cut_views
 
 from ..baselines.interface import FittedMaterial, MaterialRecordings, Method

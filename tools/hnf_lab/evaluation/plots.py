@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.export.plots.figure import write_figure
+from hnf_core.export.figure import write_figure
 
 from .materials import DirectionSpectra, MaterialResult
 from .scoring import FREQUENCY_HZ

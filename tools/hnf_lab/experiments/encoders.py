@@ -31,8 +31,8 @@ from hnf_core.material.band_descriptor import describe
 from hnf_core.material.encoder_registry import Encoder, describe_views, get_encoder
 from hnf_core.material.token import BAND_WAVELENGTHS_M, ENCODER_NAMES, Token
 from hnf_core.simulation.material_classes import list_classes
-from hnf_core.tactile.diffusion.predict import predict_tactile_maps
-from hnf_core.tactile.diffusion.unet import MapWeights, load_map_weights
+from hnf_core.tactile.diffusion import predict_tactile_maps
+from hnf_core.tactile.unet import MapWeights, load_map_weights
 from hnf_core.tactile.views import AppearanceView
 from hnf_lab import ROOT
 

@@ -43,9 +43,9 @@ from hnf_core.material.probe import get_probe
 from hnf_core.material.token import LEVELS
 from hnf_core.metrics.spectra import welch
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.tactile.diffusion.predict import predict_slopes
-from hnf_core.tactile.diffusion.unet import build_unet, load_map_weights
+from hnf_core.tactile.diffusion import predict_slopes
 from hnf_core.tactile.height import tactile_map_from_height
+from hnf_core.tactile.unet import build_unet, load_map_weights
 from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, AppearanceView
 from hnf_core.training.model import FieldNetwork
 from hnf_core.training.model import render_weights as twin

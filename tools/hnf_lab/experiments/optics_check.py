@@ -42,7 +42,7 @@ from hnf_core.errors import (
     HnfError,
     UsageError,
 )
-from hnf_core.export.plots.figure import write_figure
+from hnf_core.export.figure import write_figure
 from hnf_core.tactile.optics import SENSORS, Sensor
 from hnf_core.tactile.photometric_stereo import SATURATION_VALUE
 from hnf_core.units import linear_to_srgb, srgb_to_linear

@@ -35,7 +35,7 @@ from hnf_blender.touch.patch_cache import PatchRecord
 from hnf_blender.touch.session import StrokeJob, gather_jobs
 from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME, make_stroke_input
 from hnf_core.errors import HnfError, SceneError
-from hnf_core.export.plots.figure import write_figure
+from hnf_core.export.figure import write_figure
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 from hnf_core.files import write_text

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hnf_core.export.plots.figure import write_figure
+from hnf_core.export.figure import write_figure
 
 from ..recordings.measure import BASELINES
 from ..recordings.report import format_table, summarise

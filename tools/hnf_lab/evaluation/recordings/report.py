@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.export.plots.figure import write_figure
+from hnf_core.export.figure import write_figure
 
 from ..report import format_table as list_table_lines
 from .measure import BASELINES, CONDITIONS, NO_WORD_MATCHES, SignalStatistics, TextureResult

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, PAIR_SENSORS
-from hnf_core.export.plots.figure import write_figure
+from hnf_core.export.figure import write_figure
 from hnf_core.material.token import BAND_WAVELENGTHS_M
 from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS
 

@@ -20,9 +20,9 @@ from hnf_core.field.field import Field
 from hnf_core.field.weights import load_field
 from hnf_core.material.encoder_registry import Encoder, get_default_encoder
 from hnf_core.simulation.material_classes import list_classes
-from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS
-from hnf_core.tactile.diffusion.unet import DIFFUSION, MapConfig, MapWeights
+from hnf_core.tactile.diffusion import DEFAULT_STEPS
 from hnf_core.tactile.tactile_map import Route
+from hnf_core.tactile.unet import DIFFUSION, MapConfig, MapWeights
 from hnf_core.tactile.views import AppearanceView
 
 from . import score

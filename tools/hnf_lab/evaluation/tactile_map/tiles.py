@@ -28,11 +28,11 @@ from hnf_core.safetensors_io import dump_tensors, load_tensors
 from hnf_core.simulation.appearance import interpolate_bilinear
 from hnf_core.simulation.material_classes import get_category
 from hnf_core.simulation.surface_recipe import TILE_PIXELS
-from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict_slopes
-from hnf_core.tactile.diffusion.unet import MapWeights
+from hnf_core.tactile.diffusion import DEFAULT_STEPS, predict_slopes
 from hnf_core.tactile.fourier_filters import frequencies
 from hnf_core.tactile.optics import get_sensor, limit_slope, shade
 from hnf_core.tactile.tactile_map import Route, TactileMap
+from hnf_core.tactile.unet import MapWeights
 from hnf_core.tactile.views import (
     PITCHES_M,
     VIEW_PIXELS,

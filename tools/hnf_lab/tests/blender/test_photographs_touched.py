@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hnf_core.material.library import get_material, load_library
-from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION
+from hnf_core.tactile.unet import DIFFUSION, REGRESSION
 from hnf_lab.evaluation.photographs.measure import touch_photograph
 from hnf_lab.evaluation.tactile_map.end_to_end import compare_networks
 

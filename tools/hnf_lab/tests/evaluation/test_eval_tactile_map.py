@@ -28,7 +28,7 @@ from hnf_core.material.encoder_registry import get_encoder
 from hnf_core.material.library import get_material
 from hnf_core.material.token import ENCODER_ID, LEVELS, TOKEN_DIM, Token
 from hnf_core.signal import Signal
-from hnf_core.tactile.diffusion.unet import DIFFUSION, REGRESSION, MapConfig, load_map_weights, save_map_weights
+from hnf_core.tactile.unet import DIFFUSION, REGRESSION, MapConfig, load_map_weights, save_map_weights
 from hnf_core.tactile.views import AppearanceView
 from hnf_lab.bootstrap import bootstrap_mean, bootstrap_ratio
 from hnf_lab.evaluation.held_out import KnownMaterial, predict_spectrum

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import UsageError
-from ...progress import add_work
-from ...threads import available_cpus
-from ..height import integrate_gradients
-from ..optics import get_sensor, limit_slope, shade
-from ..tactile_map import Route, TactileMap
-from ..views import PITCHES_M, VIEW_PIXELS, AppearanceView
+from ..errors import UsageError
+from ..progress import add_work
+from ..threads import available_cpus
+from .height import integrate_gradients
+from .optics import get_sensor, limit_slope, shade
+from .tactile_map import Route, TactileMap
 from .unet import LOG_SNR_FEATURES, REGRESSION, SCALAR_COUNT, MapWeights, forward
+from .views import PITCHES_M, VIEW_PIXELS, AppearanceView
 
 Array = NDArray[np.float32]
 

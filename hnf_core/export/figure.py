@@ -21,13 +21,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import __version__
-from ...action.action import Action
-from ...errors import FileError
-from ...files import write_bytes
-from ...signal import Signal
-from ...tactile.tactile_map import TactileMap
-from ...units import linear_to_srgb, m_to_mm, power_to_db
+from .. import __version__
+from ..action.action import Action
+from ..errors import FileError
+from ..files import write_bytes
+from ..signal import Signal
+from ..tactile.tactile_map import TactileMap
+from ..units import linear_to_srgb, m_to_mm, power_to_db
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

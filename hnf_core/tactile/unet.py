@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import UsageError, WeightsError
-from ...files import write_bytes
-from ...safetensors_io import WeightsKind, dump_tensors, read_weights
-from ..optics import SENSORS
-from ..views import PITCHES_M
+from ..errors import UsageError, WeightsError
+from ..files import write_bytes
+from ..safetensors_io import WeightsKind, dump_tensors, read_weights
+from .optics import SENSORS
+from .views import PITCHES_M
 
 LOG_SNR_FEATURES = 16
 """Number of sines and cosines of the log-SNR, of the condition."""
@@ -285,7 +285,7 @@ def _pixel_unshuffle(x: Array, side: int) -> Array:
     return np.ascontiguousarray(blocks).reshape(4 * len(x), -1)
 
 
-DATA_FOLDER = Path(__file__).parents[2] / "data"
+DATA_FOLDER = Path(__file__).parents[1] / "data"
 DEFAULT_WEIGHTS = DATA_FOLDER / "tactile-map.safetensors"
 SHIPPED_WEIGHTS = {REGRESSION: DEFAULT_WEIGHTS, DIFFUSION: DATA_FOLDER / "tactile-map-diffusion.safetensors"}
 """Shipped weights by the word that chooses them."""

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...action.action import Action
-from ...signal import Signal
-from ...units import linear_to_srgb
+from ..action.action import Action
+from ..signal import Signal
+from ..units import linear_to_srgb
 from .figure import (
     MUTED,
     TRACKS_BOTTOM,
