@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import shutil
 
 import bpy
 import numpy as np
@@ -21,15 +23,30 @@ NOTHING = {"close_ups": 0, "renders": 0, "rays": 0, "network_calls": 0, "tokens"
 PLACE = (0.04, 0.03, 0.02)
 
 
+SMALL = {"WIDTH": 192, "HEIGHT": 108}
+"""Pictures in which a stroke is seen, and that take no longer than that."""
+
+
 @pytest.fixture(autouse=True)
 def small(monkeypatch) -> None:
-    """Pictures in which a stroke is seen, and that take no longer than that."""
-    monkeypatch.setattr(overview, "WIDTH", 192)
-    monkeypatch.setattr(overview, "HEIGHT", 108)
+    for name, pixels in SMALL.items():
+        monkeypatch.setattr(overview, name, pixels)
 
 
-@pytest.fixture
-def scene(tmp_path):
+@pytest.fixture(scope="module")
+def first_run(stroke_properties, tmp_path_factory):
+    """A folder with the scene and the results of one run; the tests work on copies of it."""
+    folder = tmp_path_factory.mktemp("first")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with pytest.MonkeyPatch.context() as patched:
+        for name, pixels in SMALL.items():
+            patched.setattr(overview, name, pixels)
+        code, report = touch(make_scene(folder / "scene.blend"), folder / "out")
+    assert code == 0
+    return folder, report
+
+
+def make_scene(path):
     """Two strokes, the longer of which the camera shows; a lamp, a world, and a plate that no stroke touches."""
     plate = ridge_plate()
     line_stroke("Along", length=0.02, surface=plate)
@@ -44,7 +61,18 @@ def scene(tmp_path):
     bpy.context.scene.world = bpy.data.worlds.new("Grey")
     for obj in (camera, lamp):
         bpy.context.scene.collection.objects.link(obj)
-    return save_scene(tmp_path / "scene.blend")
+    return save_scene(path)
+
+
+@pytest.fixture
+def scene(first_run, tmp_path):
+    return shutil.copy2(first_run[0] / "scene.blend", tmp_path / "scene.blend")
+
+
+@pytest.fixture
+def touched(first_run, scene):
+    """The folder of results of a first run on the scene, and its report."""
+    return shutil.copytree(first_run[0] / "out", scene.parent / "out"), copy.deepcopy(first_run[1])
 
 
 def changed(scene, change):
@@ -103,10 +131,9 @@ SEEN = {
 
 
 @pytest.mark.parametrize("change", SEEN.values(), ids=SEEN)
-def test_visual_changes_rerender_images_and_keep_signals(scene, tmp_path, change) -> None:
+def test_visual_changes_rerender_images_and_keep_signals(scene, touched, tmp_path, change) -> None:
     """As a run into an empty folder would show it."""
-    out = tmp_path / "out"
-    _, first = touch(scene, out)
+    out, first = touched
     assert first["counts"]["close_ups"] > 0
     before = pictures(out, first)
     changed(scene, change)
@@ -123,10 +150,9 @@ def test_visual_changes_rerender_images_and_keep_signals(scene, tmp_path, change
     assert third["counts"] == NOTHING
 
 
-def test_the_baked_file_is_the_scene_as_it_is_now(scene, tmp_path) -> None:
+def test_the_baked_file_is_the_scene_as_it_is_now(scene, touched) -> None:
     """What no picture shows comes into it without a render; its tokens stay."""
-    out = tmp_path / "out"
-    _, first = touch(scene, out)
+    out, first = touched
     tokens = read_tokens(baked(out, first)[PLATE].data)
 
     def change() -> None:
@@ -149,10 +175,9 @@ def test_the_baked_file_is_the_scene_as_it_is_now(scene, tmp_path) -> None:
     assert second["source"] == third["source"] != first["source"]
 
 
-def test_results_of_an_older_version_are_looked_at_once(scene, tmp_path) -> None:
+def test_results_of_an_older_version_are_looked_at_once(scene, touched) -> None:
     """A report that does not say what its pictures and its .blend were made from."""
-    out = tmp_path / "out"
-    _, first = touch(scene, out)
+    out, first = touched
     report = json.loads((out / "report.json").read_text())
     del report["source"], report["left_over"]
     for stroke in report["strokes"]:
@@ -165,9 +190,8 @@ def test_results_of_an_older_version_are_looked_at_once(scene, tmp_path) -> None
     assert touch(scene, out)[1]["counts"] == NOTHING
 
 
-def test_files_of_a_stroke_that_is_gone_are_named_and_kept(scene, tmp_path, capsys) -> None:
-    out = tmp_path / "out"
-    touch(scene, out)
+def test_files_of_a_stroke_that_is_gone_are_named_and_kept(scene, touched, capsys) -> None:
+    out, _ = touched
     changed(scene, lambda: bpy.data.objects.remove(bpy.data.objects["Beside"]))
     capsys.readouterr()
     for _ in range(2):  # as long as they lie there
@@ -181,9 +205,8 @@ def test_files_of_a_stroke_that_is_gone_are_named_and_kept(scene, tmp_path, caps
     assert touch(scene, out)[1]["left_over"] == []
 
 
-def test_a_stroke_that_is_back_owns_its_files_again(scene, tmp_path) -> None:
-    out, whole = tmp_path / "out", scene.read_bytes()
-    touch(scene, out)
+def test_a_stroke_that_is_back_owns_its_files_again(scene, touched) -> None:
+    (out, _), whole = touched, scene.read_bytes()
     changed(scene, lambda: bpy.data.objects.remove(bpy.data.objects["Beside"]))
     assert touch(scene, out)[1]["left_over"] == ["beside.png", "beside.wav"]
     scene.write_bytes(whole)
@@ -219,9 +242,8 @@ def files_of(report) -> dict[str, tuple[str, str]]:
     return {stroke["name"]: (stroke["wav"], stroke["picture"]) for stroke in report["strokes"]}
 
 
-def test_a_duplicate_gets_its_own_files(scene, tmp_path) -> None:
-    out = tmp_path / "out"
-    _, first = touch(scene, out)
+def test_a_duplicate_gets_its_own_files(scene, touched, tmp_path) -> None:
+    out, first = touched
     before = pictures(out, first)
     changed(scene, duplicate)
     _, second = touch(scene, out)
@@ -239,10 +261,9 @@ def test_a_duplicate_gets_its_own_files(scene, tmp_path) -> None:
     assert pictures(out, third)["Copy"] == after["Copy"]
 
 
-def test_a_new_name_keeps_the_files(scene, tmp_path) -> None:
+def test_a_new_name_keeps_the_files(scene, touched) -> None:
     """And the picture in them says it."""
-    out = tmp_path / "out"
-    _, first = touch(scene, out)
+    out, first = touched
     before = pictures(out, first)["Along"]
     changed(scene, lambda: setattr(bpy.data.objects["Along"], "name", "New"))
     _, second = touch(scene, out)
@@ -269,16 +290,14 @@ def test_strokes_that_share_files_from_old_versions_are_split(scene, tmp_path) -
     assert touch(scene, out)[1]["counts"] == NOTHING
 
 
-def test_a_probe_between_two_runs_costs_the_second_one_nothing(scene, tmp_path) -> None:
-    out = tmp_path / "out"
-    touch(scene, out)
+def test_a_probe_between_two_runs_costs_the_second_one_nothing(scene, touched) -> None:
+    out, _ = touched
     touch(scene, out, "--at", f"{PLATE}:0.001,0.001")
     assert touch(scene, out)[1]["counts"] == NOTHING
 
 
-def test_the_plan_counts_the_pictures_that_may_be_made_anew(scene, tmp_path, capsys) -> None:
-    out = tmp_path / "out"
-    touch(scene, out)
+def test_the_plan_counts_the_pictures_that_may_be_made_anew(scene, touched, capsys) -> None:
+    out, _ = touched
 
     def planned() -> dict:
         capsys.readouterr()
@@ -354,7 +373,7 @@ def test_the_scenes_own_camera_shows_the_longer_stroke() -> None:
     assert 0.008 / 0.108 < MIN_STROKE_FRACTION < 0.02 / 0.108  # a 36 mm sensor and a 50 mm lens, 0.15 m away
 
 
-def test_every_signal_is_there_before_the_first_picture(scene, tmp_path, monkeypatch) -> None:
+def test_every_signal_is_there_before_the_first_picture(scene, first_run, tmp_path, monkeypatch) -> None:
     """And a run that is killed while it draws leaves them to the next one, which draws what is missing."""
     out, seen = tmp_path / "out", []
 
@@ -375,9 +394,9 @@ def test_every_signal_is_there_before_the_first_picture(scene, tmp_path, monkeyp
     _, second = touch(scene, out)
     assert second["counts"]["close_ups"] == second["counts"]["network_calls"] == 0
     assert [stroke["fresh"] for stroke in second["strokes"]] == [True, True]
-    _, whole = touch(scene, tmp_path / "whole")
-    assert pictures(out, second) == pictures(tmp_path / "whole", whole)
-    assert wavs == {name: (tmp_path / "whole" / name).read_bytes() for name in wavs}
+    whole, written = first_run[0] / "out", first_run[1]
+    assert pictures(out, second) == pictures(whole, written)
+    assert wavs == {name: (whole / name).read_bytes() for name in wavs}
     assert touch(scene, out)[1]["counts"] == NOTHING
 
 
@@ -399,7 +418,7 @@ def test_a_picture_that_cannot_be_drawn_costs_no_signal(scene, tmp_path, monkeyp
     assert files_of(second)["Along"] == ("along.wav", "along.png")
 
 
-def test_no_pictures_makes_none_and_the_report_says_so(scene, tmp_path, capsys) -> None:
+def test_no_pictures_makes_none_and_the_report_says_so(scene, first_run, tmp_path, capsys) -> None:
     out = tmp_path / "out"
     record, said = plan_of(scene, out, capsys, "--no-pictures")
     assert "picture" not in said
@@ -415,16 +434,15 @@ def test_no_pictures_makes_none_and_the_report_says_so(scene, tmp_path, capsys) 
     assert (record["again"], record["pictures"]) == ("pictures", 2)
     _, drawn = touch(scene, out)
     assert drawn["counts"]["close_ups"] == drawn["counts"]["network_calls"] == 0
-    _, whole = touch(scene, tmp_path / "whole")
-    assert pictures(out, drawn) == pictures(tmp_path / "whole", whole)
-    assert {key: drawn[key] for key in ("skipped", "failed")} == {key: whole[key] for key in ("skipped", "failed")}
+    whole, written = first_run[0] / "out", first_run[1]
+    assert pictures(out, drawn) == pictures(whole, written)
+    assert {key: drawn[key] for key in ("skipped", "failed")} == {key: written[key] for key in ("skipped", "failed")}
     for name in ("along.wav", "beside.wav"):
-        assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+        assert (out / name).read_bytes() == (whole / name).read_bytes()
 
 
-def test_no_pictures_keeps_those_of_an_equal_scene(scene, tmp_path) -> None:
-    out = tmp_path / "out"
-    _, first = touch(scene, out)
+def test_no_pictures_keeps_those_of_an_equal_scene(scene, touched) -> None:
+    out, first = touched
     _, second = touch(scene, out, "--no-pictures")
     assert (files_of(second), second["skipped"]) == (files_of(first), first["skipped"])
     changed(scene, move("Camera"))
@@ -434,9 +452,8 @@ def test_no_pictures_keeps_those_of_an_equal_scene(scene, tmp_path) -> None:
     assert [stroke["fresh"] for stroke in third["strokes"]] == [True, True]
 
 
-def test_a_lost_picture_is_drawn_again_and_nothing_else(scene, tmp_path) -> None:
-    out = tmp_path / "out"
-    _, first = touch(scene, out)
+def test_a_lost_picture_is_drawn_again_and_nothing_else(scene, touched) -> None:
+    out, first = touched
     before = pictures(out, first)
     (out / "beside.png").unlink()
     _, second = touch(scene, out)
