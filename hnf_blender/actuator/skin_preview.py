@@ -124,7 +124,7 @@ def estimate_skin(
     """
     from hnf_core.actuators.limiter import Limiter
     from hnf_core.actuators.measure.inverse_filter import make_compensation
-    from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
+    from hnf_core.actuators.virtual_transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
 
     limiter = Limiter(profile.limits, signal.sample_rate, 1)
     samples = signal.samples[:, None]

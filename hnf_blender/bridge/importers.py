@@ -426,7 +426,7 @@ def _open_splats(path: Path, cache: Path | None, progress: ProgressCallback, wri
     """Import a splat file: its reconstructed surface and its splats."""
     import bpy
 
-    from .splats.reconstruction import add_reconstruction, read_reconstruction
+    from .splat_reconstruction import add_reconstruction, read_reconstruction
 
     reconstruction = read_reconstruction(path, cache, write_cache=write_cache, progress=progress)
     open_empty_scene()

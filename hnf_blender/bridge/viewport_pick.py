@@ -23,7 +23,7 @@ from ..translations import tr
 from .scene.material_definition import get_artist_choice
 from .scene.meshes import compute_surface_frame, get_materials
 from .scene.stored_data import TOKEN_ATTRIBUTE, read_tokens
-from .splats.splat_cloud import is_cloud
+from .splat_cloud import is_cloud
 
 Float = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from hnf_core.tactile.tactile_map import Route
 
 from ..bridge.scene.scene_names import find_object
 from ..bridge.scene.stored_data import SCHEMA_PROPERTY, count_token_bytes, remove_tokens
-from ..bridge.splats.splat_cloud import get_cloud, remove_point_tokens
+from ..bridge.splat_cloud import get_cloud, remove_point_tokens
 from ..bridge.stroke.read_stroke import list_strokes
 from ..props.scene_settings import find_index
 from ..state.labels import format_bytes

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from hnf_core.scene.splats.gaussians import SplatSource
     from hnf_core.signal import Signal
 
-    from ..bridge.splats.reconstruction import Reconstruction
+    from ..bridge.splat_reconstruction import Reconstruction
 
 SPEAKER_PEAK_SHARE = 0.9
 """Peak of a signal in m/s² as a fraction of full scale, above which Blender clips."""
@@ -254,7 +254,7 @@ class SplatReader:
             self._read(path, cache, source)
 
     def _read(self, path: Path, cache: Path, source: "SplatSource") -> None:
-        from ..bridge.splats.reconstruction import read_reconstruction
+        from ..bridge.splat_reconstruction import read_reconstruction
 
         try:
             self.result = read_reconstruction(path, cache, progress=self._on_progress, source=source)
@@ -281,7 +281,7 @@ def open_splats(path: Path) -> "SplatSource":
     from hnf_core.scene.gltf_document import is_splat_document, read_gltf_document
     from hnf_core.scene.ply import read_ply_header
 
-    from ..bridge.splats import reconstruction
+    from ..bridge import splat_reconstruction
 
     kind = identify(read_head(path))
     suffix = kind.suffix if kind is not None else path.suffix.lower()
@@ -293,7 +293,7 @@ def open_splats(path: Path) -> "SplatSource":
             where=str(path),
             remedy=f"Import it with File > Import > {importer}.",
         )
-    return reconstruction.open_splats(path)
+    return splat_reconstruction.open_splats(path)
 
 
 class _ImportState:
@@ -342,7 +342,7 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
         if self._browser_opened and not bpy.app.background:
             return self._start(context)
         try:
-            from ..bridge.splats.reconstruction import read_reconstruction
+            from ..bridge.splat_reconstruction import read_reconstruction
 
             reconstruction = read_reconstruction(self._path, get_cache_folder(), source=open_splats(self._path))
         except HnfError as error:
@@ -392,7 +392,7 @@ class HNF_OT_import_splats(_ImportState, bpy.types.Operator):  # type: ignore[mi
         return {"RUNNING_MODAL"}
 
     def _add_to_scene(self, context: Any, made: "Reconstruction") -> set[str]:
-        from ..bridge.splats.reconstruction import add_reconstruction, describe_shown_splats
+        from ..bridge.splat_reconstruction import add_reconstruction, describe_shown_splats
 
         surface = add_reconstruction(context.scene, made)
         make_active(context, surface)

@@ -364,7 +364,7 @@ def _get_unit_scale(scene: Any) -> tuple[object, ...]:
 
 def _is_affected(obj: Any, names: set[str]) -> bool:
     """Return whether the object's surface may depend on one of the named datablocks."""
-    from ..bridge.splats.splat_cloud import get_cloud
+    from ..bridge.splat_cloud import get_cloud
 
     cloud = get_cloud(obj)
     datablocks = (obj, obj.data, cloud, None if cloud is None else cloud.data)

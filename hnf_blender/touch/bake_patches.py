@@ -37,10 +37,10 @@ from hnf_core.tactile.unet import MapWeights, find_map_weights, load_map_weights
 from hnf_core.tactile.views import PITCHES_M, AppearanceView, cut_views, measure_contrast
 from hnf_core.threads import single_blas_thread
 
-from ..bridge.render.closeup import CloseUp, CloseUpRenderer
-from ..bridge.render.cycles import MAX_READABLE_WAVELENGTH_M, UnlitImage
+from ..bridge.closeup import CloseUp, CloseUpRenderer
+from ..bridge.cycles import MAX_READABLE_WAVELENGTH_M, UnlitImage
 from ..bridge.scene.meshes import Surface
-from ..bridge.splats.splat_cloud import get_cloud
+from ..bridge.splat_cloud import get_cloud
 from .patch_cache import (
     PATCH_VERSION,
     PatchRecord,
@@ -378,7 +378,7 @@ def _open_renderer(
         if not splat_patches:
             yield shader_renderer.render
             return
-        from ..bridge.splats.splat_closeup import SplatCloseUpRenderer
+        from ..bridge.splat_closeup import SplatCloseUpRenderer
 
         cloud = get_cloud(touched.obj)
         splat_renderer = SplatCloseUpRenderer(

@@ -28,8 +28,8 @@ from hnf_core.scene.mesh import has_fine_faces
 from hnf_core.tactile.tactile_map import Route
 from hnf_core.touch_request import TouchRequest
 
-from ..bridge.render.closeup import crop_to_patches, find_mesh_relief
-from ..bridge.render.cycles import MAX_READABLE_WAVELENGTH_M
+from ..bridge.closeup import crop_to_patches, find_mesh_relief
+from ..bridge.cycles import MAX_READABLE_WAVELENGTH_M
 from ..bridge.scene.meshes import make_ray_caster
 from ..bridge.scene.scene_names import find_object
 from ..bridge.shader.closures import ReliefSource

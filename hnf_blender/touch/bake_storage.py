@@ -25,7 +25,7 @@ from ..bridge.scene import stored_data
 from ..bridge.scene.object_size import is_visible
 from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..bridge.scene.stored_data import SOURCE_PROPERTY, UNBAKED, FaceTokens, PointTokens, read_tokens, write_tokens
-from ..bridge.splats.splat_cloud import compute_cloud_frame, get_cloud, read_cloud, write_point_tokens
+from ..bridge.splat_cloud import compute_cloud_frame, get_cloud, read_cloud, write_point_tokens
 from ..bridge.stroke.read_stroke import hash_touch, trace_path
 from ..props.scene_settings import find_index
 from ..translations import tr

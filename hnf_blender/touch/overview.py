@@ -21,8 +21,8 @@ from hnf_core.files import content_hash
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.rgbd_view import RgbdView
 
-from ..bridge.render.cycles import make_overview_camera, read_camera
-from ..bridge.render.lit_render import OverviewRenderer, RenderHashes
+from ..bridge.cycles import make_overview_camera, read_camera
+from ..bridge.lit_render import OverviewRenderer, RenderHashes
 from ..bridge.scene.meshes import Surface
 from ..bridge.scene.object_size import get_world_boxes
 from ..compat import has_denoiser

@@ -21,7 +21,7 @@ from hnf_core.material.token import Token
 from hnf_core.progress import add_work
 from hnf_core.tactile.tactile_map import Route
 
-from ..bridge.render.cycles import UnlitImage
+from ..bridge.cycles import UnlitImage
 
 PATCH_VERSION = 6
 """Version of the files of patches; part of every key."""

@@ -27,7 +27,7 @@ from hnf_core.scene.nerfstudio import TRANSFORMS_FILE, NerfstudioFrame, write_tr
 from hnf_core.scene.rgbd_view import write_exr
 from hnf_core.units import linear_to_srgb
 
-from ..bridge.render.lit_render import CameraView, CameraViewRenderer
+from ..bridge.lit_render import CameraView, CameraViewRenderer
 from ..bridge.scene.object_size import get_metres_per_unit
 from .output_files import iter_numbered_stems, make_file_stem
 from .run import open_named_scene

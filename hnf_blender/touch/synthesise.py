@@ -39,7 +39,7 @@ from hnf_core.signal import Signal
 from hnf_core.tactile.tactile_map import Route
 from hnf_core.threads import single_blas_thread
 
-from ..bridge.render.cycles import UnlitImage
+from ..bridge.cycles import UnlitImage
 from ..bridge.scene.scene_names import find_object
 from ..bridge.stroke.read_stroke import SceneStroke
 from .bake_patches import (

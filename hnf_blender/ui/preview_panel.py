@@ -49,7 +49,7 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # bpy 
     bl_order = 0
 
     def draw(self, context: Any) -> None:
-        from ..bridge.splats.splat_cloud import TOUCHABLE_SURFACES
+        from ..bridge.splat_cloud import TOUCHABLE_SURFACES
 
         layout, stroke = self.layout, get_active_stroke(context)
         strokes = list_cached_strokes(context.scene)

@@ -105,7 +105,7 @@ class HNF_PT_scale(PopoverPanel, bpy.types.Panel):  # type: ignore[misc]
 
     def draw(self, context: Any) -> None:
         from ..bridge.scene.object_size import get_metres_per_unit
-        from ..bridge.splats.splat_cloud import TOUCHABLE_SURFACES
+        from ..bridge.splat_cloud import TOUCHABLE_SURFACES
 
         layout, scene = self.layout, context.scene
         layout.use_property_split = True

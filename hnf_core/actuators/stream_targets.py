@@ -148,7 +148,7 @@ def make_sink(
         return FileSink(target.path, round(source_rate_hz), channels, limits.full_scale_m_s2)
     rate = round(source_rate_hz)
     if isinstance(target, VirtualTarget):
-        from .virtual.port import VirtualSink
+        from .virtual_port import VirtualSink
 
         return VirtualSink(rate, channels, peak=limits.peak_counts, slew_per_s=limits.slew_per_s)
     from .sinks.serial import BAUDRATE, CONNECT_S, SerialSink

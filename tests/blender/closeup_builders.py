@@ -11,10 +11,10 @@ import numpy as np
 from builders import add_plane, bump_material
 from numpy.typing import NDArray
 
-from hnf_blender.bridge.render.closeup import CloseUp, CloseUpRenderer
-from hnf_blender.bridge.render.cycles import add_camera, configure_cycles, render_passes, set_camera
-from hnf_blender.bridge.render.isolated_object import isolate_object
-from hnf_blender.bridge.render.lit_render import add_dome
+from hnf_blender.bridge.closeup import CloseUp, CloseUpRenderer
+from hnf_blender.bridge.cycles import add_camera, configure_cycles, render_passes, set_camera
+from hnf_blender.bridge.isolated_object import isolate_object
+from hnf_blender.bridge.lit_render import add_dome
 from hnf_blender.bridge.scene.temp_scene import TemporaryScene
 from hnf_core.scene.camera import Camera, Patch
 

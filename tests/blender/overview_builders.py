@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_blender.bridge.render.lit_render import OverviewRenderer
+from hnf_blender.bridge.lit_render import OverviewRenderer
 from hnf_blender.bridge.scene.meshes import Surface, make_ray_caster
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.raycast import RayCaster, cast_view

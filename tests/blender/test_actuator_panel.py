@@ -37,7 +37,7 @@ from hnf_blender.registration import collect_classes
 from hnf_blender.ui.actuator_panel import PHASE_LABELS
 from hnf_core.actuators.limiter import Limiter
 from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.virtual.port import Recording
+from hnf_core.actuators.virtual_port import Recording
 from hnf_core.errors import FileError
 from hnf_core.signal import Signal
 

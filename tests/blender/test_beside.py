@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from touch_scene import PLATE, line_stroke, ridge_plate
 
-from hnf_blender.bridge.render import closeup
+from hnf_blender.bridge import closeup
 from hnf_blender.touch import bake_patches
 from hnf_blender.touch.report import Counts
 from hnf_blender.touch.session import gather_jobs, make_scene_session

@@ -8,7 +8,7 @@ import pytest
 from builders import add_mesh, add_plane, bump_material, float_image
 from closeup_builders import bumpy_plane, look, plane_coordinates, principled
 
-from hnf_blender.bridge.render.closeup import APPEARANCE_PIXELS
+from hnf_blender.bridge.closeup import APPEARANCE_PIXELS
 from hnf_blender.bridge.shader.closures import ReliefSource, find_relief_source
 
 TEXEL = 0.1e-3

@@ -18,8 +18,8 @@ from closeup_builders import (
     render_closeups,
 )
 
-from hnf_blender.bridge.render import closeup as closeup_module
-from hnf_blender.bridge.render.closeup import flood_fill, has_flipped_green
+from hnf_blender.bridge import closeup as closeup_module
+from hnf_blender.bridge.closeup import flood_fill, has_flipped_green
 from hnf_core.errors import SceneError
 
 

@@ -12,15 +12,10 @@ from closeup_builders import patch, principled
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_blender.bridge.render import closeup
-from hnf_blender.bridge.render.closeup import CloseUpRenderer
-from hnf_blender.bridge.render.cycles import MAX_READABLE_WAVELENGTH_M
-from hnf_blender.bridge.render.isolated_object import (
-    PIXELS_PER_TEXEL,
-    PIXELS_PER_TRIANGLE,
-    SlotReading,
-    choose_resolution,
-)
+from hnf_blender.bridge import closeup
+from hnf_blender.bridge.closeup import CloseUpRenderer
+from hnf_blender.bridge.cycles import MAX_READABLE_WAVELENGTH_M
+from hnf_blender.bridge.isolated_object import PIXELS_PER_TEXEL, PIXELS_PER_TRIANGLE, SlotReading, choose_resolution
 from hnf_blender.bridge.shader.aov_taps import ImageTap, Tap
 from hnf_blender.bridge.shader.closures import ColourSources, is_direct_image
 from hnf_core.material.band_descriptor import describe
@@ -99,7 +94,7 @@ def test_fewer_pixels_than_it_takes_would_be_told_apart(first: int, monkeypatch:
     """The bound is no luxury: what it keeps from happening is seen by the same measure."""
     obj = plate(0.5e-3)
     right = token_of(looked(obj))
-    monkeypatch.setattr("hnf_blender.bridge.render.isolated_object.PIXELS_PER_TEXEL", 1e-9)
+    monkeypatch.setattr("hnf_blender.bridge.isolated_object.PIXELS_PER_TEXEL", 1e-9)
     few = looked(obj, first)
     assert few.mask.shape == (first, first)
     wrong = token_of(few)

@@ -13,7 +13,7 @@ from closeup_builders import patch, plane_coordinates, render_closeup
 from touch_scene import line_stroke, save_scene, signals
 from touch_scene import touch_without_pictures as touch
 
-from hnf_blender.bridge.render.closeup import CloseUp
+from hnf_blender.bridge.closeup import CloseUp
 from hnf_blender.bridge.scene.meshes import describe_idle_modifiers
 from hnf_blender.cli import main
 from hnf_core.material.fuse import FROM_MESH
@@ -265,7 +265,7 @@ def test_a_modifier_that_fails_is_named(tmp_path):
 
 
 def test_nothing_is_examined_on_a_coarse_mesh(monkeypatch):
-    from hnf_blender.bridge.render import closeup
+    from hnf_blender.bridge import closeup
 
     def refuse(*_args, **_options):
         raise AssertionError("the relief of a coarse mesh was computed")

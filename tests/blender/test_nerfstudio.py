@@ -15,10 +15,10 @@ from mathutils import Vector
 
 from data_tools import nerfstudio_export
 from data_tools.write_splats import write_inria
+from hnf_blender.bridge import splat_reconstruction
+from hnf_blender.bridge.cycles import read_camera
 from hnf_blender.bridge.importers import CAMERA_COLLECTION, add_cameras, find_geometry, open_scene
-from hnf_blender.bridge.render.cycles import read_camera
-from hnf_blender.bridge.splats import reconstruction
-from hnf_blender.bridge.splats.splat_cloud import get_cloud
+from hnf_blender.bridge.splat_cloud import get_cloud
 from hnf_core.errors import FileError, SceneError
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.nerfstudio import NerfstudioFrame, read_transforms
@@ -177,7 +177,7 @@ def test_splats_of_an_export_stand_upright_among_its_cameras(copied, monkeypatch
     (copied / "poisson_mesh.ply").unlink()
     splats = read_splats(copied / "splat.ply")
     write_inria(copied / "splat.ply", splats)
-    monkeypatch.setattr(reconstruction, "DEFAULT_CELLS", 40)
+    monkeypatch.setattr(splat_reconstruction, "DEFAULT_CELLS", 40)
     scene = open_scene(copied / "transforms.json")
     surface = next(obj for obj in scene.objects if get_cloud(obj) is not None)
     np.testing.assert_allclose(np.array(get_cloud(surface).matrix_world), np.eye(4), atol=1e-6)

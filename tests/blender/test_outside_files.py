@@ -9,8 +9,8 @@ import numpy as np
 from builders import add_plane
 from outside_pictures import picture
 
-from hnf_blender.bridge.render.cycles import make_overview_camera
-from hnf_blender.bridge.render.lit_render import RenderHashes
+from hnf_blender.bridge.cycles import make_overview_camera
+from hnf_blender.bridge.lit_render import RenderHashes
 from hnf_blender.bridge.shader.shader_hash import hash_material
 from hnf_blender.touch.bake_plan import list_external_files
 

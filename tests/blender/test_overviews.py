@@ -10,9 +10,9 @@ import pytest
 from builders import add_plane, add_sphere, datablock_names
 from overview_builders import render_overview
 
-from hnf_blender.bridge.render import lit_render
-from hnf_blender.bridge.render.cycles import configure_cycles, make_overview_camera
-from hnf_blender.bridge.render.lit_render import OverviewRenderer
+from hnf_blender.bridge import lit_render
+from hnf_blender.bridge.cycles import configure_cycles, make_overview_camera
+from hnf_blender.bridge.lit_render import OverviewRenderer
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.bridge.scene.temp_scene import TEMP_SCENE_NAME, TemporaryScene
 from hnf_blender.touch import overview as touch_view

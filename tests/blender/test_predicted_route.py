@@ -12,7 +12,7 @@ from closeup_builders import principled
 from predicted_scene import PHOTO_PLATE, bake_open_scene, photo, photo_material, photo_plate, small_weights, use_weights
 from touch_scene import line_stroke
 
-from hnf_blender.bridge.render.cycles import UnlitImage
+from hnf_blender.bridge.cycles import UnlitImage
 from hnf_blender.touch import bake_patches
 from hnf_blender.touch.synthesise import synthesise_stroke
 from hnf_core.field.weights import load_field

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from mathutils import Euler
 from splat_builders import FINE_M, HALF_M, METRES, Y_00, slab
 
-from hnf_blender.bridge.render.cycles import UnlitImage
+from hnf_blender.bridge.cycles import UnlitImage
 from hnf_blender.bridge.scene.meshes import read_surface
-from hnf_blender.bridge.splats.splat_closeup import (
+from hnf_blender.bridge.splat_closeup import (
     HALF_PASS_SIGMAS,
     PIXELS_PER_WAVELENGTH,
     SplatCloseUpRenderer,
@@ -21,7 +21,7 @@ from hnf_blender.bridge.splats.splat_closeup import (
     compute_surface_distance,
     fill_pinholes,
 )
-from hnf_blender.bridge.splats.splat_cloud import create_cloud, link_cloud
+from hnf_blender.bridge.splat_cloud import create_cloud, link_cloud
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import CAMERA_DISTANCE_M, Patch
 from hnf_core.scene.splats.depth_views import compute_linear_colour

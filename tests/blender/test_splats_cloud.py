@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from mathutils import Matrix
 from splat_builders import read_point_tokens
 
+from hnf_blender.bridge import splat_reconstruction
 from hnf_blender.bridge.scene.stored_data import PointTokens
-from hnf_blender.bridge.splats import reconstruction
-from hnf_blender.bridge.splats.reconstruction import GROUP_NAME, MAX_SHOWN_SPLATS, get_display_stride, show_ellipsoids
-from hnf_blender.bridge.splats.splat_cloud import (
+from hnf_blender.bridge.splat_cloud import (
     HARMONIC_ATTRIBUTE,
     CloudFrame,
     compute_cloud_frame,
@@ -33,6 +32,7 @@ from hnf_blender.bridge.splats.splat_cloud import (
     remove_point_tokens,
     write_point_tokens,
 )
+from hnf_blender.bridge.splat_reconstruction import GROUP_NAME, MAX_SHOWN_SPLATS, get_display_stride, show_ellipsoids
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import Patch
 from hnf_core.scene.splats.gaussians import Splats
@@ -240,7 +240,7 @@ def test_a_large_cloud_is_thinned_for_the_viewport(monkeypatch: pytest.MonkeyPat
     assert get_display_stride(MAX_SHOWN_SPLATS + 1) == 2
     assert get_display_stride(10 * MAX_SHOWN_SPLATS) == 10
     _, cloud = reconstructed(some_splats(30))
-    monkeypatch.setattr(reconstruction, "MAX_SHOWN_SPLATS", 8)
+    monkeypatch.setattr(splat_reconstruction, "MAX_SHOWN_SPLATS", 8)
     show_ellipsoids(cloud)
     bpy.context.view_layer.update()
     assert sum(each.is_instance for each in bpy.context.view_layer.depsgraph.object_instances) == 8

@@ -14,9 +14,9 @@ from mathutils import Vector
 from panel_recorder import drawn
 from splat_builders import slab, slab_file
 
-from hnf_blender.bridge.splats import reconstruction
-from hnf_blender.bridge.splats.reconstruction import TouchSurface
-from hnf_blender.bridge.splats.splat_cloud import get_cloud, is_cloud, read_cloud
+from hnf_blender.bridge import splat_reconstruction
+from hnf_blender.bridge.splat_cloud import get_cloud, is_cloud, read_cloud
+from hnf_blender.bridge.splat_reconstruction import TouchSurface
 from hnf_blender.bridge.viewport_pick import cast_on_surface, pick_object_along_ray
 from hnf_blender.ops import import_ops
 from hnf_blender.ops.import_ops import SplatReader
@@ -48,7 +48,7 @@ def quick(monkeypatch, tmp_path):
                 time.sleep(0.01)
         return made
 
-    monkeypatch.setattr(reconstruction, "reconstruct_surface", reconstruct)
+    monkeypatch.setattr(splat_reconstruction, "reconstruct_surface", reconstruct)
     monkeypatch.setattr(import_ops, "get_cache_folder", lambda: tmp_path / "cache")
 
 

@@ -15,12 +15,12 @@ from splat_builders import FINE_M, HALF_M, METRES, coarse_slab_file, read_point_
 from touch_scene import signals, touch
 
 from data_tools.write_splats import write_inria
+from hnf_blender.bridge import splat_reconstruction
 from hnf_blender.bridge.scene.meshes import read_surface
 from hnf_blender.bridge.scene.stored_data import UNBAKED, read_tokens
-from hnf_blender.bridge.splats import reconstruction
-from hnf_blender.bridge.splats.reconstruction import TouchSurface, read_reconstruction
-from hnf_blender.bridge.splats.splat_closeup import HALF_PASS_SIGMAS
-from hnf_blender.bridge.splats.splat_cloud import compute_cloud_frame, get_cloud, read_cloud
+from hnf_blender.bridge.splat_closeup import HALF_PASS_SIGMAS
+from hnf_blender.bridge.splat_cloud import compute_cloud_frame, get_cloud, read_cloud
+from hnf_blender.bridge.splat_reconstruction import TouchSurface, read_reconstruction
 from hnf_blender.jobs import bake_job
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import StatusTracker
@@ -57,7 +57,7 @@ def quick(tmp_path_factory):
     """A coarse surface, small pictures, a small D_φ."""
     weights = small_weights(tmp_path_factory.mktemp("weights") / "small.safetensors")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reconstruction, "DEFAULT_CELLS", CELLS)
+        patch.setattr(splat_reconstruction, "DEFAULT_CELLS", CELLS)
         patch.setattr(bake_patches, "PATCH_PIXELS", 256)
         use_weights(patch, weights)
         yield
@@ -288,7 +288,7 @@ def test_a_cached_surface_is_used_if_intact_and_rebuilt_if_not(damage, tmp_path)
         whole, plain = kept.read_bytes(), first.surface
         if damage == "indices":
             shifted = TouchSurface(plain.vertices, plain.triangles + 1, plain.colour, ())
-            reconstruction._save_cached(cache, read_splats(path), MIN_CELLS, shifted)
+            splat_reconstruction._save_cached(cache, read_splats(path), MIN_CELLS, shifted)
         else:
             kept.write_bytes({"none": whole, "cut": whole[:200], "noise": bytes(range(256))}[damage])
         second = read_reconstruction(path, cache, cells=MIN_CELLS)
@@ -302,9 +302,9 @@ def test_a_cached_surface_is_used_if_intact_and_rebuilt_if_not(damage, tmp_path)
 
 def test_a_file_that_makes_no_surface_leaves_nothing_behind(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(
-        reconstruction, "reconstruct_surface", lambda *_a, **_n: (_ for _ in ()).throw(SceneError("fog."))
+        splat_reconstruction, "reconstruct_surface", lambda *_a, **_n: (_ for _ in ()).throw(SceneError("fog."))
     )
     with pytest.raises(SceneError, match=r"fog"):
         read_reconstruction(slab_file(tmp_path), tmp_path / "cache")
     assert not (tmp_path / "cache").exists()
-    assert reconstruct_surface is not reconstruction.reconstruct_surface
+    assert reconstruct_surface is not splat_reconstruction.reconstruct_surface

@@ -9,7 +9,7 @@ from builders import add_plane
 from touch_scene import line_stroke, save_scene
 from touch_scene import touch_without_pictures as touch
 
-from hnf_blender.bridge.render.cycles import UnlitImage
+from hnf_blender.bridge.cycles import UnlitImage
 from hnf_blender.touch.material_choice import (
     CHOSEN_BY_ARTIST,
     GUESS_CONFIDENCE,

@@ -12,7 +12,7 @@ from builders import add_plane, add_sphere, datablock_names
 from mathutils import Vector
 from overview_builders import render_overview, to_surface_frame
 
-from hnf_blender.bridge.render.cycles import (
+from hnf_blender.bridge.cycles import (
     add_aovs,
     add_camera,
     configure_cycles,

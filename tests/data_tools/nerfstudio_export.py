@@ -38,7 +38,7 @@ from data_tools.splats_from_scene import (
     parse_metres,
 )
 from data_tools.write_splats import write_inria
-from hnf_blender.bridge.render.lit_render import OverviewRenderer
+from hnf_blender.bridge.lit_render import OverviewRenderer
 from hnf_blender.touch.session import Session
 from hnf_core.errors import HnfError, UsageError
 from hnf_core.files import write_bytes, write_text

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_tools.mesh_sampling import Samples, sample_mesh
-from hnf_blender.bridge.render.cycles import (
+from hnf_blender.bridge.cycles import (
     add_aovs,
     add_camera,
     configure_cycles,
@@ -22,7 +22,7 @@ from hnf_blender.bridge.render.cycles import (
     render_passes,
     set_camera,
 )
-from hnf_blender.bridge.render.isolated_object import instrument_slot, isolate_object
+from hnf_blender.bridge.isolated_object import instrument_slot, isolate_object
 from hnf_blender.bridge.scene.meshes import Surface, make_ray_caster
 from hnf_blender.bridge.scene.temp_scene import TemporaryScene
 from hnf_blender.bridge.shader.aov_taps import Passes

@@ -9,8 +9,8 @@ import numpy as np
 
 from hnf_core.actuators.serial_protocol import CRC_POLYNOMIAL, CRC_START
 from hnf_core.actuators.sink import Counts
-from hnf_core.actuators.virtual.serial_device import Playout, PlayoutPhase
-from hnf_core.actuators.virtual.transducer import (
+from hnf_core.actuators.virtual_serial_device import Playout, PlayoutPhase
+from hnf_core.actuators.virtual_transducer import (
     Floats,
     Motion,
     StateSpace,

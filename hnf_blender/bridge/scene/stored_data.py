@@ -116,7 +116,7 @@ class FaceTokens:
     source : str
         Hash of the inputs of the bake.
     points : PointTokens or None
-        Tokens of the splats of a reconstructed surface, which are stored on the cloud (`bridge/splats/splat_cloud.py`).
+        Tokens of the splats of a reconstructed surface, which are stored on the cloud (`bridge/splat_cloud.py`).
     """
 
     palette: Palette

@@ -16,7 +16,7 @@ import numpy as np
 
 from hnf_core.errors import SceneError, pluralize
 
-from ..splats.splat_cloud import is_cloud
+from ..splat_cloud import is_cloud
 from .meshes import evaluated_mesh, get_coordinate_step
 from .object_size import filter_visible
 

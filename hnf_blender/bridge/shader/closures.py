@@ -327,7 +327,7 @@ def find_relief_source(material: Any) -> ReliefSource:
 def is_direct_image(material: Any) -> bool:
     """Return True if a material's relief is made of images directly, so that a coarse render can measure their texels.
 
-    Reads the nodes only, like `find_relief_source`; `bridge/render/isolated_object.py` uses the texels.
+    Reads the nodes only, like `find_relief_source`; `bridge/isolated_object.py` uses the texels.
     """
     if material is None or not compat.use_nodes(material):
         return False

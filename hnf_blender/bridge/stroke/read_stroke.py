@@ -48,7 +48,7 @@ from ..scene.meshes import Surface, compute_surface_frame, evaluated_mesh, read_
 from ..scene.object_size import get_world_boxes, is_visible
 from ..scene.scene_names import get_scene_name
 from ..scene.touchable import list_surfaces
-from ..splats.splat_cloud import is_cloud
+from ..splat_cloud import is_cloud
 from .animation import (
     Channel,
     is_moving,

@@ -25,7 +25,7 @@ from ..sink import Sink, SinkFormat
 from ..sinks.audio import OPEN_STREAMS, explain_error
 from ..sources import BufferSource
 from ..stream import Stream
-from ..virtual.transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
+from ..virtual_transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
 
 EXCITATION_FADE_S = 0.05
 """Length of the fades at the ends of an excitation [s]."""

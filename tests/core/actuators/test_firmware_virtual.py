@@ -26,7 +26,7 @@ from hnf_core.actuators.serial_protocol import (
     Stop,
     encode_frame,
 )
-from hnf_core.actuators.virtual.serial_device import VirtualDevice
+from hnf_core.actuators.virtual_serial_device import VirtualDevice
 
 STARTS = st.builds(
     Start,

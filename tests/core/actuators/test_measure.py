@@ -31,7 +31,7 @@ from hnf_core.actuators.signal_chain import SignalChain
 from hnf_core.actuators.sink import SinkFormat, SinkStatus
 from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.sources import BufferSource
-from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
+from hnf_core.actuators.virtual_transducer import GENERIC_TRANSDUCER, counts_to_drive, simulate_motion
 from hnf_core.errors import DeviceError, UsageError
 from hnf_core.metrics.spectra import band_power
 from hnf_core.signal import Signal

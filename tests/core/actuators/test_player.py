@@ -43,7 +43,7 @@ from hnf_core.actuators.profile import GENERIC, make_user_profile, read_profile,
 from hnf_core.actuators.signal_chain import render_counts
 from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources import BufferSource, read_acceleration
-from hnf_core.actuators.virtual.port import VirtualPort
+from hnf_core.actuators.virtual_port import VirtualPort
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
 

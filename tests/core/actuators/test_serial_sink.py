@@ -30,8 +30,8 @@ from hnf_core.actuators.serial_protocol import (
 from hnf_core.actuators.sinks import serial as serial_port
 from hnf_core.actuators.sinks import serial as serial_sink
 from hnf_core.actuators.sinks.serial import FRAMES_PER_MESSAGE, SerialSink
-from hnf_core.actuators.virtual.port import VirtualPort, VirtualSink
-from hnf_core.actuators.virtual.serial_device import Capabilities
+from hnf_core.actuators.virtual_port import VirtualPort, VirtualSink
+from hnf_core.actuators.virtual_serial_device import Capabilities
 from hnf_core.errors import DeviceError, UsageError
 
 pytest.importorskip("serial", reason="pyserial is not installed")
@@ -233,7 +233,7 @@ def test_a_system_that_gives_no_pty_is_told(monkeypatch: pytest.MonkeyPatch, tmp
 
 def test_the_next_port_removes_the_folder_of_a_killed_process(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    code = "from hnf_core.actuators.virtual.port import VirtualPort as P; p = P(); print(p.path, flush=True); input()"
+    code = "from hnf_core.actuators.virtual_port import VirtualPort as P; p = P(); print(p.path, flush=True); input()"
     words = [sys.executable, "-c", f"import sys, tempfile; tempfile.tempdir = {str(tmp_path)!r}\n{code}"]
     root, pipe = Path(__file__).resolve().parents[3], subprocess.PIPE
     with subprocess.Popen(words, cwd=root, text=True, stdin=pipe, stdout=pipe) as killed:

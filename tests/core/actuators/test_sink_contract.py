@@ -13,7 +13,7 @@ from stream_sink import ClockSink, check_sink
 from hnf_core.actuators.sink import Sink
 from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.sinks.osc import OscSink
-from hnf_core.actuators.virtual.port import VirtualSink
+from hnf_core.actuators.virtual_port import VirtualSink
 
 
 def osc(folder: Path) -> Sink:

@@ -24,8 +24,8 @@ from hnf_core.actuators.signal_chain import render_counts
 from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import StreamReport
-from hnf_core.actuators.virtual.port import VirtualPort
-from hnf_core.actuators.virtual.serial_device import Capabilities
+from hnf_core.actuators.virtual_port import VirtualPort
+from hnf_core.actuators.virtual_serial_device import Capabilities
 from hnf_core.cli.main import main
 from hnf_core.cli.stream import LevelMeter, format_meter
 from hnf_core.errors import pluralize

@@ -28,8 +28,8 @@ from hnf_core.actuators.stream_targets import (
     make_sink,
     parse_target,
 )
-from hnf_core.actuators.virtual.port import VirtualSink
-from hnf_core.actuators.virtual.serial_device import PlayoutFormat
+from hnf_core.actuators.virtual_port import VirtualSink
+from hnf_core.actuators.virtual_serial_device import PlayoutFormat
 from hnf_core.errors import UsageError
 
 

@@ -25,8 +25,8 @@ from hnf_core.actuators.serial_protocol import (
     State,
     Stop,
 )
-from hnf_core.actuators.virtual.port import Recording
-from hnf_core.actuators.virtual.serial_device import (
+from hnf_core.actuators.virtual_port import Recording
+from hnf_core.actuators.virtual_serial_device import (
     Capabilities,
     Playout,
     PlayoutCommand,
@@ -35,7 +35,7 @@ from hnf_core.actuators.virtual.serial_device import (
     compute_queue_frames,
     interpolate_gap,
 )
-from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, Transducer, counts_to_drive, simulate_motion
+from hnf_core.actuators.virtual_transducer import GENERIC_TRANSDUCER, Transducer, counts_to_drive, simulate_motion
 from reference.device_reference import ReferencePlayout
 
 RATE = 8000

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.actuators.virtual.transducer import (
+from hnf_core.actuators.virtual_transducer import (
     GENERIC_TRANSDUCER,
     Transducer,
     TransducerState,

@@ -28,8 +28,8 @@ from hnf_core.actuators.signal_chain import Samples
 from hnf_core.actuators.sinks.serial import MAX_STALL_S, SerialSink
 from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
-from hnf_core.actuators.virtual.port import VirtualPort
-from hnf_core.actuators.virtual.serial_device import VirtualDevice
+from hnf_core.actuators.virtual_port import VirtualPort
+from hnf_core.actuators.virtual_serial_device import VirtualDevice
 from hnf_core.errors import HnfError
 from hnf_lab import CHILD_PATH, ROOT
 

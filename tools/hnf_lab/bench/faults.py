@@ -19,7 +19,7 @@ import numpy as np
 
 from hnf_core.actuators.serial_protocol import Encoder, Hello, Samples, Start
 from hnf_core.actuators.sinks.serial import SerialSink
-from hnf_core.actuators.virtual.serial_device import Capabilities, VirtualDevice
+from hnf_core.actuators.virtual_serial_device import Capabilities, VirtualDevice
 from hnf_core.errors import DeviceError
 
 from .fault_harness import (

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hnf_core.actuators.virtual.port import VirtualPort
+from hnf_core.actuators.virtual_port import VirtualPort
 
 
 class PacedLine:

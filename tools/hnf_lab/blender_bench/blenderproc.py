@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_blender.bridge.render.cycles import set_camera
+from hnf_blender.bridge.cycles import set_camera
 from hnf_blender.bridge.scene.temp_scene import suppress_output
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.rgbd_view import read_exr

@@ -87,7 +87,7 @@ def make_three_balls() -> Any:
 
 def place_cameras(scene: Any, count: int, width: int, height: int) -> list[Camera]:
     """Place `count` cameras on a ring, with three-quarter views of everything on the floor."""
-    from hnf_blender.bridge.render.cycles import make_overview_camera
+    from hnf_blender.bridge.cycles import make_overview_camera
     from hnf_blender.bridge.scene.object_size import get_world_box
 
     depsgraph = scene.view_layers[0].depsgraph
@@ -142,7 +142,7 @@ def make_world_mesh(scene: Any) -> TriangleMesh:
 def _open_scene(path: Path) -> Any:
     """Open a scene; add a neutral dome if it has no light, as the product does."""
     from hnf_blender.bridge.importers import open_scene
-    from hnf_blender.bridge.render.lit_render import add_dome, is_lit
+    from hnf_blender.bridge.lit_render import add_dome, is_lit
 
     scene = open_scene(path)
     if not is_lit(scene):
@@ -227,8 +227,8 @@ def compute_depth_error(
 
 
 def _render_unlit_depth(scene: Any, cameras: Sequence[Camera]) -> Depths:
-    from hnf_blender.bridge.render.cycles import disable_lighting
-    from hnf_blender.bridge.render.lit_render import OverviewRenderer
+    from hnf_blender.bridge.cycles import disable_lighting
+    from hnf_blender.bridge.lit_render import OverviewRenderer
 
     with OverviewRenderer(scene, samples=1, entire_scene=True) as overviews:
         disable_lighting(overviews.temporary.scene)
@@ -296,8 +296,8 @@ def _find_readable_patch(obj: Any) -> Callable[[int], Any]:
     """
     import bpy
 
-    from hnf_blender.bridge.render import closeup
-    from hnf_blender.bridge.render.cycles import configure_cycles
+    from hnf_blender.bridge import closeup
+    from hnf_blender.bridge.cycles import configure_cycles
     from hnf_blender.bridge.scene.meshes import make_ray_caster, read_surface
     from hnf_blender.touch.bake_patches import ReliefPredictor
 
@@ -452,7 +452,7 @@ def render_views(
     scene: Any, cameras: Sequence[Camera], samples: int, denoise: bool = True, seed: int = 0
 ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """Render colour and depth like the product, but with BlenderProc's bounces."""
-    from hnf_blender.bridge.render.lit_render import OverviewRenderer
+    from hnf_blender.bridge.lit_render import OverviewRenderer
 
     from .blenderproc import limit_bounces
 

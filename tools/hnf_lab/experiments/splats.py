@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 
 from data_tools.object_splats import find_touched_patches, make_object_splats
 from data_tools.splats_from_scene import FINE_M, SPACING_M, open_session
-from hnf_blender.bridge.render.closeup import CloseUp, CloseUpRenderer
-from hnf_blender.bridge.render.cycles import UnlitImage
+from hnf_blender.bridge.closeup import CloseUp, CloseUpRenderer
+from hnf_blender.bridge.cycles import UnlitImage
 from hnf_blender.bridge.scene.meshes import Surface
-from hnf_blender.bridge.splats.splat_closeup import SplatCloseUpRenderer
-from hnf_blender.bridge.splats.splat_cloud import create_cloud, link_cloud
+from hnf_blender.bridge.splat_closeup import SplatCloseUpRenderer
+from hnf_blender.bridge.splat_cloud import create_cloud, link_cloud
 from hnf_blender.touch.bake_patches import ReliefPredictor
 from hnf_blender.touch.session import Session
 from hnf_core.errors import HnfError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from hnf_blender.bridge.splats.splat_cloud import TOUCHABLE_SURFACES
+from hnf_blender.bridge.splat_cloud import TOUCHABLE_SURFACES
 from hnf_blender.props.object_cache import STROKES
 from hnf_lab.bench.harness import BenchOptions, run_sizes
 from hnf_lab.blender_bench import scale

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hnf_blender.bridge.render.cycles import make_overview_camera
+from hnf_blender.bridge.cycles import make_overview_camera
 from hnf_core.scene.raycast import cast_view, make_embree_caster
 from hnf_lab.bench.harness import BenchOptions, run_with_peak
 from hnf_lab.blender_bench import views

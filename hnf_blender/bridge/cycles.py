@@ -19,10 +19,10 @@ from hnf_core.scene.camera import Camera
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.rgbd_view import read_exr
 
-from ... import compat
-from ..scene.temp_scene import TemporaryScene, suppress_output
-from ..shader.aov_taps import Passes, Tap, compute_resolved_wavelength
-from ..shader.closures import ColourSources
+from .. import compat
+from .scene.temp_scene import TemporaryScene, suppress_output
+from .shader.aov_taps import Passes, Tap, compute_resolved_wavelength
+from .shader.closures import ColourSources
 
 NO_HIT_DEPTH = 1e9
 """Depth from which a pixel counts as empty; Cycles writes 1e10 there."""

@@ -23,9 +23,9 @@ from hnf_core.scene.splats.gaussians import C0, Splats, SplatSource
 from hnf_core.scene.splats.reconstruct import DEFAULT_CELLS, DEFAULT_VIEWS, reconstruct_surface
 from hnf_core.scene.splats.splat_file import open_splat_file, read_splats
 
-from ... import compat
-from ..scene.stored_data import show_vertex_colours
-from ..shader.images import decode_image
+from .. import compat
+from .scene.stored_data import show_vertex_colours
+from .shader.images import decode_image
 from .splat_cloud import (
     HARMONIC_ATTRIBUTE,
     OPACITY_ATTRIBUTE,

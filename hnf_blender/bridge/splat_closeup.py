@@ -1,6 +1,6 @@
 """Close-ups of a reconstructed surface: color and depth of a patch from its splats, faces from rays on the mesh.
 
-A patch is a square of surface. This is the counterpart of `bridge/render/closeup.py` for surfaces with splats instead
+A patch is a square of surface. This is the counterpart of `bridge/closeup.py` for surfaces with splats instead
 of a shader.
 """
 
@@ -24,9 +24,15 @@ from hnf_core.scene.splats.rasterize import SplatView, render_splats
 from hnf_core.tactile.height import fill_masked
 from hnf_core.tactile.image_resolution import estimate_resolved_wavelength
 
-from ..render.closeup import APPEARANCE_PIXELS, CloseUp, crop_to_patches, find_connected_pixels, make_unoccluded_camera
-from ..render.cycles import MAX_CODE, MIN_COLOUR_STD_CODES, UnlitImage
-from ..scene.meshes import Surface, make_ray_caster
+from .closeup import (
+    APPEARANCE_PIXELS,
+    CloseUp,
+    crop_to_patches,
+    find_connected_pixels,
+    make_unoccluded_camera,
+)
+from .cycles import MAX_CODE, MIN_COLOUR_STD_CODES, UnlitImage
+from .scene.meshes import Surface, make_ray_caster
 from .splat_cloud import CloudFrame, compute_cloud_frame, get_cloud_source, read_cloud
 
 Float = NDArray[np.float64]

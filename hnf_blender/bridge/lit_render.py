@@ -19,12 +19,7 @@ from hnf_core.files import content_hash
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.rgbd_view import RgbdView, read_cryptomatte_names
 
-from ... import compat
-from ..scene.meshes import get_slot_materials, hash_mesh
-from ..scene.temp_scene import TemporaryScene, suppress_output
-from ..shader.images import fingerprint_file
-from ..shader.object_inputs import find_shader_inputs, format_object_inputs
-from ..shader.shader_hash import format_settings, hash_material, hash_node_tree
+from .. import compat
 from .cycles import (
     PASSES_FILE,
     add_camera,
@@ -34,6 +29,11 @@ from .cycles import (
     render_passes,
     set_camera,
 )
+from .scene.meshes import get_slot_materials, hash_mesh
+from .scene.temp_scene import TemporaryScene, suppress_output
+from .shader.images import fingerprint_file
+from .shader.object_inputs import find_shader_inputs, format_object_inputs
+from .shader.shader_hash import format_settings, hash_material, hash_node_tree
 
 DOME_STRENGTH = 1.0
 """Strength of the uniform white world that lights a scene without light."""

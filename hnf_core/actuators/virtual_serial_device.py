@@ -14,8 +14,8 @@ from functools import singledispatchmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from ..limits import FULL_SCALE_COUNTS
-from ..serial_protocol import (
+from .limits import FULL_SCALE_COUNTS
+from .serial_protocol import (
     FRAME_TIMEOUT_S,
     FROM_HOST,
     LARGEST_PAYLOAD,
@@ -39,8 +39,13 @@ from ..serial_protocol import (
     Status,
     Stop,
 )
-from ..sink import Counts
-from .transducer import GENERIC_TRANSDUCER, Transducer, compute_temperature_after, counts_to_drive
+from .sink import Counts
+from .virtual_transducer import (
+    GENERIC_TRANSDUCER,
+    Transducer,
+    compute_temperature_after,
+    counts_to_drive,
+)
 
 IntArray = NDArray[np.int64]
 

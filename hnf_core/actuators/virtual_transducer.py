@@ -15,8 +15,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import UsageError
-from ..limits import FULL_SCALE_COUNTS
+from ..errors import UsageError
+from .limits import FULL_SCALE_COUNTS
 
 Floats = NDArray[np.float64]
 

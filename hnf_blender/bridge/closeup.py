@@ -37,18 +37,6 @@ from hnf_core.tactile.mesh_relief import (
     find_fine_faces,
 )
 
-from ..scene.meshes import Surface, make_ray_caster
-from ..scene.temp_scene import TemporaryScene
-from ..shader.aov_taps import (
-    ImageTap,
-    Passes,
-    compute_resolved_wavelength,
-    find_finest_texel,
-    find_texel_grid,
-    measure_image_step,
-)
-from ..shader.bump_displacement import MicroGeometry, Relief, Slopes, judge_normal_colour
-from ..shader.closures import Layers, average_appearance, list_closures, mix_closures, read_shading_value
 from .cycles import (
     FILTER_REACH,
     PLAIN_SAMPLING,
@@ -75,6 +63,24 @@ from .isolated_object import (
     instrument_slot,
     is_image_based,
     isolate_object,
+)
+from .scene.meshes import Surface, make_ray_caster
+from .scene.temp_scene import TemporaryScene
+from .shader.aov_taps import (
+    ImageTap,
+    Passes,
+    compute_resolved_wavelength,
+    find_finest_texel,
+    find_texel_grid,
+    measure_image_step,
+)
+from .shader.bump_displacement import MicroGeometry, Relief, Slopes, judge_normal_colour
+from .shader.closures import (
+    Layers,
+    average_appearance,
+    list_closures,
+    mix_closures,
+    read_shading_value,
 )
 
 Mask = NDArray[np.bool_]

@@ -17,15 +17,21 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import DeviceError
-from ...files import make_run_folder
-from ..limits import FULL_SCALE_COUNTS
-from ..runtime import request_realtime_priority
-from ..serial_protocol import State
-from ..sink import Counts, SinkFormat
-from ..sinks.serial import SerialSink
-from .serial_device import Capabilities, VirtualDevice
-from .transducer import GENERIC_TRANSDUCER, Motion, Transducer, counts_to_drive, simulate_motion
+from ..errors import DeviceError
+from ..files import make_run_folder
+from .limits import FULL_SCALE_COUNTS
+from .runtime import request_realtime_priority
+from .serial_protocol import State
+from .sink import Counts, SinkFormat
+from .sinks.serial import SerialSink
+from .virtual_serial_device import Capabilities, VirtualDevice
+from .virtual_transducer import (
+    GENERIC_TRANSDUCER,
+    Motion,
+    Transducer,
+    counts_to_drive,
+    simulate_motion,
+)
 
 CHUNK_FRAMES = 16_384
 """Frames allocated at once; few large arrays, since an hour of small ones would slow Python down."""

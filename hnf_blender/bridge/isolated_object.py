@@ -17,12 +17,20 @@ from numpy.typing import NDArray
 from hnf_core.errors import SceneError
 from hnf_core.tactile.mesh_relief import FaceSpacing
 
-from ... import compat
-from ..scene.meshes import Surface, compute_surface_frame, evaluated_mesh, flush_edits, get_materials, read_surface
-from ..scene.temp_scene import TemporaryScene
-from ..shader.aov_taps import IMAGE_NODE, Constant, Passes, Tap, Tapper, find_finest_texel
-from ..shader.bump_displacement import MicroGeometry, Relief, Slopes
-from ..shader.closures import (
+from .. import compat
+from .cycles import MAX_READABLE_WAVELENGTH_M
+from .scene.meshes import (
+    Surface,
+    compute_surface_frame,
+    evaluated_mesh,
+    flush_edits,
+    get_materials,
+    read_surface,
+)
+from .scene.temp_scene import TemporaryScene
+from .shader.aov_taps import IMAGE_NODE, Constant, Passes, Tap, Tapper, find_finest_texel
+from .shader.bump_displacement import MicroGeometry, Relief, Slopes
+from .shader.closures import (
     ColourSources,
     ShaderReading,
     find_colour_sources,
@@ -31,16 +39,15 @@ from ..shader.closures import (
     read_shader,
     read_viewport_shading,
 )
-from ..shader.images import (
+from .shader.images import (
     UNSAVED_IMAGE_REMEDY,
     copy_as_data,
     explain_missing_image,
     get_missing_remedy,
     has_unsaved_paint,
 )
-from ..shader.node_graph import NodeGraph, iter_nodes
-from ..shader.object_inputs import copy_object_inputs, find_shader_inputs
-from .cycles import MAX_READABLE_WAVELENGTH_M
+from .shader.node_graph import NodeGraph, iter_nodes
+from .shader.object_inputs import copy_object_inputs, find_shader_inputs
 
 Float = NDArray[np.float64]
 

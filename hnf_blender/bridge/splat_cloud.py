@@ -20,9 +20,9 @@ from hnf_core.errors import SceneError
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.splats.gaussians import Splats
 
-from ...props.object_cache import CachedFilter
-from ..scene.meshes import flush_edits
-from ..scene.stored_data import CONFIDENCE_ATTRIBUTE, TOKEN_ATTRIBUTE, PointTokens
+from ..props.object_cache import CachedFilter
+from .scene.meshes import flush_edits
+from .scene.stored_data import CONFIDENCE_ATTRIBUTE, TOKEN_ATTRIBUTE, PointTokens
 
 Float = NDArray[np.float64]
 
