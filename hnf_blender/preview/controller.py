@@ -19,7 +19,7 @@ from ..state.session_state import STATE
 from ..touch.report import Freshness
 from ..translations import tr
 from .preview_state import PREVIEW, PreviewFacts
-from .sound_device import Speakers, compute_clipping_db
+from .sound_device import OfflinePlayer, Speakers, compute_clipping_db
 
 if TYPE_CHECKING:
     import numpy as np
@@ -113,8 +113,6 @@ class OutputRouter:
         if target == SPEAKERS:
             return self._speakers
         if needs_offline_player(target):
-            from .offline_player import OfflinePlayer
-
             return self._playing if isinstance(self._playing, OfflinePlayer) else OfflinePlayer(self._speakers)
         from ..actuator.player_client import PLAYER_CLIENT
 

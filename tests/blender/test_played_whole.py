@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from player_builders import RATE_HZ, tone
 
-from hnf_blender.preview.offline_player import limit_offline, process_for_output
+from hnf_blender.preview.sound_device import limit_offline, process_for_output
 from hnf_core.actuators.limits import FULL_SCALE_COUNTS, Limits
 from hnf_core.actuators.measure.frequency_response import FrequencyResponse, Resonator
 from hnf_core.actuators.measure.inverse_filter import make_compensation
