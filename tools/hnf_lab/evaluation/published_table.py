@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from multiprocessing import get_context
 
 import numpy as np
@@ -26,6 +26,7 @@ from hnf_core.datasets.recording import ActionRange, Recording
 from hnf_core.datasets.time_series import RAW_BANDWIDTH_HZ, smooth_series
 from hnf_core.errors import pluralize
 from hnf_core.field.field import FieldConfig
+from hnf_core.material.contact_model import Mechanics
 from hnf_core.metrics.similarity import st_sim_tum
 from hnf_core.metrics.spectra import average_spectrum_distance_db, welch, window_magnitudes
 from hnf_core.tactile.optics import SENSORS
@@ -160,32 +161,51 @@ def _measure_cells(
 ) -> tuple[TableRow, ...]:
     """Measure the limits of a material, and every method with one sensor's token."""
     name, seed = options.materials[index], options.seed + 10 * index
-    job = EvaluationJob("simulated", name, None, index, (), EvaluationSizes(), Budget(), seed)
-    subject = make_subject(job)
     watch(f"{name}: the true process")
-    references = make_references(
-        subject.process, _make_strokes(subject.limits, options.seconds, seed), 77 + seed, options.realisations, 1
-    )
+    strokes = _record_material(options, index)
+    references = strokes.references
     rows = [
         TableRow(ORACLE_NAME, "", "", _score_signals([item.oracle[0] for item in references], references)),
         TableRow(BEST_NAME, "", "", _score_best(references)),
     ]
-    recordings = tuple(map(with_raw_action, record_training_strokes(subject, "circular", TRAINING_S, seed)))
-    added = tuple(map(with_raw_action, make_added_strokes(subject.process, recordings, seed)))
     tests = {
         False: [item.action for item in references],
         True: [record_by_load_cell(Recording(item.action, item.recording, RATE_HZ, name, name)) for item in references],
     }
     settings = options.others if index else options.first
     token = describe_sensor_tokens(name)[sensor]
-    specimen = MaterialRecordings(name, recordings, token, subject.mechanics, subject.category)
-    for label, told, raw, fit in _list_methods(options, settings, added):
+    specimen = MaterialRecordings(name, strokes.recordings, token, strokes.mechanics, strokes.category)
+    for label, told, raw, fit in _list_methods(options, settings, strokes.added):
         watch(f"{name}: {label}, {sensor}")
         start = time.monotonic()
         signals = fit(specimen, seed).render(tests[raw], seed + 1)
         scores = _score_signals(signals, references)
         rows.append(TableRow(label, told, SENSOR_LABELS[sensor], scores, time.monotonic() - start))
     return tuple(rows)
+
+
+@dataclass(frozen=True)
+class MaterialStrokes:
+    """Test strokes of one material, the circles that everything learns, and what HNF+ learns in addition."""
+
+    references: Sequence[Reference]
+    recordings: tuple[Recording, ...]
+    added: tuple[Recording, ...]
+    mechanics: Mechanics
+    category: str
+
+
+@lru_cache(maxsize=1)
+def _record_material(options: TableOptions, index: int) -> MaterialStrokes:
+    """Simulate a material's strokes: once for both sensors where one process measures them in turn."""
+    name, seed = options.materials[index], options.seed + 10 * index
+    subject = make_subject(EvaluationJob("simulated", name, None, index, (), EvaluationSizes(), Budget(), seed))
+    references = make_references(
+        subject.process, _make_strokes(subject.limits, options.seconds, seed), 77 + seed, options.realisations, 1
+    )
+    recordings = tuple(map(with_raw_action, record_training_strokes(subject, "circular", TRAINING_S, seed)))
+    added = tuple(map(with_raw_action, make_added_strokes(subject.process, recordings, seed)))
+    return MaterialStrokes(references, recordings, added, subject.mechanics, subject.category)
 
 
 def _list_methods(
