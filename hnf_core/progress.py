@@ -120,7 +120,8 @@ class ProgressBar:
 
 WorkKind = Literal[
     "states", "samples", "sensor_images", "nearest_pairs", "splats", "reconstructions", "threads", "hashed_files",
-    "meshes", "collections", "scenes", "caster_triangles", "passes", "patch_files",
+    "meshes", "collections", "scenes", "caster_triangles", "images", "passes",
+    "patch_files",
     "close_ups", "renders", "rays", "network_calls", "tokens", "diffusion_calls",
 ]  # fmt: skip
 """Kinds of work that are counted. The last six are those of a report of `hnf touch`.
@@ -137,6 +138,7 @@ WorkKind = Literal[
 - collections: collections of Blender searched for rendered objects; the item is the name.
 - scenes: temporary scenes made in Blender.
 - caster_triangles: triangles given to a ray caster.
+- images: images rendered by Blender for close-ups and views; the item is the width in pixels.
 - passes: passes that a close-up is rendered with; the item is the name.
 - patch_files: files of baked patches and predictions opened; the item is the path.
 - close_ups: patches rendered.

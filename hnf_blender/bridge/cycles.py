@@ -140,7 +140,9 @@ def render_passes(temporary: TemporaryScene) -> dict[str, NDArray[np.float32]]:
             bpy.ops.render.render(scene=temporary.scene.name, layer=temporary.view_layer.name, write_still=True)
     except RuntimeError as error:
         raise SceneError(f"Blender could not render ({error}).", where="close-up") from error
-    return read_exr(path)
+    passes = read_exr(path)
+    add_work("images", item=next(iter(passes.values())).shape[1])
+    return passes
 
 
 def get_planar_depth(passes: dict[str, NDArray[np.float32]], metres_per_unit: float) -> NDArray[np.float32]:

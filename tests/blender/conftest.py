@@ -39,14 +39,15 @@ def lone_bake(operators, tmp_path, monkeypatch):
     """Bakes with a cache of their own (its path); none runs before or after, nor does its process, and none leaves a
     folder."""
     from job_scene import my_folders
+    from touch_scene import place_data
 
-    from hnf_blender.jobs import bake_job, manager
+    from hnf_blender.jobs import manager
     from hnf_blender.jobs.child_job import PROCESS_FOLDER_PREFIX
     from hnf_blender.state.session_state import STATE
 
-    monkeypatch.setattr(bake_job, "get_cache_folder", lambda: tmp_path / "cache")
+    cache = place_data(monkeypatch, tmp_path / "data")
     STATE.clear()
-    yield tmp_path / "cache"
+    yield cache
     manager.close()
     STATE.clear()
     assert my_folders() == []
@@ -57,17 +58,17 @@ def lone_bake(operators, tmp_path, monkeypatch):
 def rendered_plate(stroke_properties, tmp_path_factory):
     """The close-ups of job_scene.small_scene."""
     from job_scene import small_scene
+    from touch_scene import place_data
 
     from hnf_blender.jobs import bake_job
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    folder = tmp_path_factory.mktemp("rendered")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bake_job, "get_cache_folder", lambda: folder)
+        cache = place_data(patch, tmp_path_factory.mktemp("rendered"))
         small_scene()
         bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    return folder
+    return cache
 
 
 @pytest.fixture

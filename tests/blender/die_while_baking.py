@@ -21,10 +21,10 @@ bpy.ops.wm.read_factory_settings(use_empty=True)
 
 from job_scene import small_scene, start
 
-from hnf_blender.jobs import bake_job, manager
+from hnf_blender.jobs import manager
 from hnf_blender.state.session_state import STATE
 
-bake_job.get_cache_folder = lambda: Path(sys.argv[1])
+os.environ["BLENDER_USER_DATAFILES"] = sys.argv[1]
 small_scene()
 pid = start().pid
 while manager.is_running() if "waiting" in sys.argv else STATE.job is None or STATE.job.stage == "starting":

@@ -17,7 +17,7 @@ import pytest
 from changes import UNFELT, add_picture, node, plate, write_picture
 from closeup_builders import look
 from shader_changes import FELT
-from touch_scene import line_stroke, ridge_plate, save_scene, touch
+from touch_scene import line_stroke, place_data, ridge_plate, save_scene, touch
 
 from hnf_blender.bridge.stroke.read_stroke import list_strokes
 from hnf_blender.compat import version
@@ -54,12 +54,12 @@ def small_closeups(monkeypatch):
 
 @pytest.fixture(scope="module")
 def stored(stroke_properties, tmp_path_factory):
-    """A folder: the scene as it is arranged first, baked, and its close-ups under "cache"."""
+    """A folder: the scene as it is arranged first, baked, and its close-ups under "hnf"."""
     folder = tmp_path_factory.mktemp("stored")
     with pytest.MonkeyPatch.context() as patch:
         for module in (bake_patches, jobs):
             patch.setattr(module, "PATCH_PIXELS", PIXELS)
-        patch.setattr(bake_job, "get_cache_folder", lambda: folder / "cache")
+        place_data(patch, folder)
         bpy.ops.wm.read_factory_settings(use_empty=True)
         two_plates()
         bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
@@ -70,10 +70,9 @@ def stored(stroke_properties, tmp_path_factory):
 @pytest.fixture
 def job(stored, tmp_path, monkeypatch):
     """Opens the baked scene. Bakes what is open, and returns the Work that was done."""
-    cache = tmp_path / "cache"
-    shutil.copytree(stored / "cache", cache)
+    shutil.copytree(stored / "hnf", tmp_path / "hnf")
     bpy.ops.wm.open_mainfile(filepath=str(stored / "scene.blend"))
-    monkeypatch.setattr(bake_job, "get_cache_folder", lambda: cache)
+    place_data(monkeypatch, tmp_path)
 
     def run() -> Work:
         before = bakes()
@@ -313,7 +312,6 @@ def touched_patches(scene: Path, out: Path) -> dict:
 
 ANOTHER_PROCESS = """
 import sys
-from pathlib import Path
 sys.path[:0] = [{root!r}, {tests!r}]
 import bpy
 from hnf_blender import props
@@ -323,7 +321,6 @@ from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_blender.touch import bake_patches, session
 from hnf_core.progress import count_work
 bake_patches.PATCH_PIXELS = session.PATCH_PIXELS = {pixels}
-bake_job.get_cache_folder = lambda: Path({cache!r})
 bpy.ops.wm.open_mainfile(filepath={scene!r})
 for lost in (False, True):
     if lost:
@@ -340,9 +337,7 @@ def test_another_process_or_file_name_keeps_the_cache_valid(job, stored, tmp_pat
     """What is baked is found in the file; and where the file has lost it, its close-ups are found in the store."""
     scene = shutil.copy(stored / "scene.blend", tmp_path / "renamed.blend")
     root = Path(bake_job.__file__).parents[2]
-    code = ANOTHER_PROCESS.format(
-        root=str(root), tests=str(Path(__file__).parent), pixels=PIXELS, cache=str(tmp_path / "cache"), scene=str(scene)
-    )
+    code = ANOTHER_PROCESS.format(root=str(root), tests=str(Path(__file__).parent), pixels=PIXELS, scene=str(scene))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=True)
     results = [line for line in done.stdout.splitlines() if line.startswith("RESULT")]
     assert results == ["RESULT True False 0 0", "RESULT True True 0 2"]

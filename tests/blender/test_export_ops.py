@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from job_scene import small_scene
 from panel_recorder import drawn
+from touch_scene import place_data
 
 from hnf_blender.preview.export_stroke import describe_loss, export_stroke, get_current_signal
 from hnf_blender.preview.preview_state import PREVIEW
@@ -34,15 +35,12 @@ def baked_file(operators, rendered_plate, tmp_path_factory):
     The artist says that it is smooth plastic, whose last octave, in which one format ends, is too quiet to be told of.
     By its ridges it would be carbon fibre, the one plastic that has any so far apart, and that octave would be heard.
     """
-    from hnf_blender.jobs import bake_job
-
     bpy.ops.wm.read_factory_settings(use_empty=True)
     folder = tmp_path_factory.mktemp("scene")
-    shutil.copytree(rendered_plate, folder / "cache")
     plate, _ = small_scene()
     plate.data.materials[0].hnf_touch.library = "smooth-plastic"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bake_job, "get_cache_folder", lambda: folder / "cache")
+        shutil.copytree(rendered_plate, place_data(patch, folder / "data"))
         assert bpy.ops.hnf.bake() == {"FINISHED"}
     path = folder / "scene.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))

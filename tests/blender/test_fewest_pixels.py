@@ -12,7 +12,6 @@ from closeup_builders import patch, principled
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_blender.bridge import closeup
 from hnf_blender.bridge.closeup import CloseUpRenderer
 from hnf_blender.bridge.cycles import MAX_READABLE_WAVELENGTH_M
 from hnf_blender.bridge.isolated_object import PIXELS_PER_TEXEL, PIXELS_PER_TRIANGLE, SlotReading, choose_resolution
@@ -20,6 +19,7 @@ from hnf_blender.bridge.shader.aov_taps import ImageTap, Tap
 from hnf_blender.bridge.shader.closures import ColourSources, is_direct_image
 from hnf_core.material.band_descriptor import describe
 from hnf_core.material.token import LEVELS
+from hnf_core.progress import count_work
 from hnf_core.tactile.height import tactile_map_from_height
 
 FIRST, MOST = 64, 256
@@ -126,17 +126,17 @@ def test_a_pattern_without_texels_gets_all_pixels_at_once() -> None:
 @pytest.mark.parametrize(
     ("texel_m", "procedural", "renders"), [(1e-3, False, 1), (0.1e-3, False, 2), (50e-6, False, 3), (1e-3, True, 2)]
 )
-def test_every_render_is_counted(texel_m: float, procedural: bool, renders: int, monkeypatch) -> None:
+def test_every_render_is_counted(texel_m: float, procedural: bool, renders: int) -> None:
     """The small view that chooses the sampling included, and for a slot's first patch alone."""
-    made = []
-    render_passes = closeup.render_passes
-    monkeypatch.setattr(closeup, "render_passes", lambda scene: made.append(scene) or render_passes(scene))
     places = [patch(), patch(0.002)]
-    with CloseUpRenderer(
-        plate(texel_m, procedural=procedural), places, pixels=MOST, first_pass_pixels=FIRST
-    ) as renderer:
+    with (
+        count_work() as work,
+        CloseUpRenderer(
+            plate(texel_m, procedural=procedural), places, pixels=MOST, first_pass_pixels=FIRST
+        ) as renderer,
+    ):
         told = [renderer.render(place).renders for place in places]
-    assert sum(told) == len(made)
+    assert sum(told) == work.total("images")
     assert told == [renders, min(renders, 2) - procedural]
 
 

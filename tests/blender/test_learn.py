@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from job_scene import LIMIT_S, PLATE, finish, is_gone, kill, my_folders, small_scene
 from panel_recorder import Recorder, context_of, rna_of
+from touch_scene import place_data
 
 from hnf_blender.bridge.scene.material_definition import get_artist_choice, set_definition
-from hnf_blender.jobs import bake_job, learn_job, manager
+from hnf_blender.jobs import bake_job, manager
 from hnf_blender.jobs.child_job import is_process_alive
 from hnf_blender.jobs.learn_job import LearnJob, MaterialSlot, assign_to_slot, check_python, make_weights_path
 from hnf_blender.ops import learn_ops as python_ops
@@ -25,7 +26,7 @@ from hnf_blender.ops.learn_ops import LAST_CHOICES, HNF_OT_learn, HNF_OT_learn_r
 from hnf_blender.prefs import HnfPreferences, draw_external_python
 from hnf_blender.preview.stroke_image import ImageStyle
 from hnf_blender.preview.synthesis_thread import RenderCache, read_current_bake, synthesise_preview
-from hnf_blender.state.addon_settings import Settings
+from hnf_blender.state.addon_settings import Settings, get_learned_folder
 from hnf_blender.state.session_state import STATE
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_blender.ui.materials_panel import draw_learn
@@ -46,9 +47,8 @@ WIDEST = 55
 @pytest.fixture
 def learned(tmp_path, monkeypatch) -> Path:
     """Where learned materials go."""
-    folder = tmp_path / "learned"
-    folder.mkdir()
-    monkeypatch.setattr(learn_job, "get_learned_folder", lambda: folder)
+    place_data(monkeypatch, tmp_path / "data")
+    folder = get_learned_folder()
     yield folder
     STATE.external_python = None
     LAST_CHOICES.clear()

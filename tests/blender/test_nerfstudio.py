@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 
 import bpy
 import numpy as np
@@ -49,9 +48,7 @@ def export(tmp_path_factory):
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
     words = [str(folder / "scene.blend"), "--out", str(folder / "out"), "--views", "3", "--samples", "4"]
     words += ["--spacing", "1.5e-3", "--width", str(WIDTH), "--height", str(HEIGHT)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["nerfstudio_export.py", *words])
-        assert nerfstudio_export.main() == 0
+    assert nerfstudio_export.main(words) == 0
     return folder / "out"
 
 

@@ -117,25 +117,17 @@ def test_a_black_view_is_lit_by_the_dome_and_says_so(things, light, dark):
     assert view.rgb[surface].mean() > 0.5 * plain.rgb[surface].mean()
 
 
-def test_a_view_after_a_black_one_is_rendered_in_full_once(things, monkeypatch):
+def test_a_view_after_a_black_one_is_rendered_in_full_once(things):
     ball, floor = things
     lamp_that_looks_away(ball)
-    sizes = []
-
-    def count(temporary):
-        passes = render_passes(temporary)
-        sizes.append(passes["Combined"].shape[1])
-        return passes
-
-    render_passes = lit_render.render_passes
     single = [render_overview(bpy.context.scene, camera, samples=2, objects=[ball, floor]) for camera in (LEFT, RIGHT)]
-    monkeypatch.setattr(lit_render, "render_passes", count)
-    with OverviewRenderer(bpy.context.scene, samples=2) as overviews:
+    with count_work() as work, OverviewRenderer(bpy.context.scene, samples=2) as overviews:
         views = [overviews.render_view(camera, [ball, floor]) for camera in (LEFT, RIGHT)]
         lamp = bpy.context.scene.objects["Spot"]
         lamp.rotation_euler = (0, 0, 0)
         bpy.context.view_layer.update()
         _, told = overviews.render_view(LEFT, [ball, floor])
+    sizes = work.items["images"]
     small = [camera.width * (100 // lit_render.PREVIEW_REDUCTION) // 100 for camera in (LEFT, RIGHT)]
     assert sizes[:2] == [LEFT.width] * 2  # black, then under the dome
     assert sizes[2:4] == [small[1], RIGHT.width]  # a look, then under the dome at once

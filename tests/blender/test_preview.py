@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from job_scene import small_scene
 from stroke_builders import has_sound
-from touch_scene import save_scene, set_keys
+from touch_scene import place_data, save_scene, set_keys
 
 from hnf_blender import compat, preview
 from hnf_blender.preview import controller, get_preview_facts, get_preview_icon, synthesis_thread
@@ -163,7 +163,7 @@ def whole(rendered_plate) -> bytes:
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bake_job, "get_cache_folder", lambda: rendered_plate)
+        place_data(patch, rendered_plate.parents[1])
         small_scene()
         bake_job.bake_blocking(bpy.context.scene, bpy.context.view_layer)
     return bytes(bpy.data.objects["Along"][BAKE_PROPERTY])

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from changes import add_picture, node, plate, tree, write_picture
 from closeup_builders import look
-from touch_scene import line_stroke, ridge_plate
+from touch_scene import line_stroke, place_data, ridge_plate
 
 from hnf_blender.bridge.stroke.read_stroke import list_strokes
 from hnf_blender.compat import version
 from hnf_blender.jobs import bake_job
+from hnf_blender.state.addon_settings import get_cache_folder
 from hnf_blender.touch import bake_patches as patches
 from hnf_blender.touch import session as jobs
 from hnf_blender.touch.session import make_scene_session
@@ -44,14 +45,15 @@ def bake(tmp_path, monkeypatch):
     """Bakes a scene in one of its view layers. Returns the bytes of the stroke, and how many close-ups were made."""
     for module in (patches, jobs):
         monkeypatch.setattr(module, "PATCH_PIXELS", 64)
-    monkeypatch.setattr(bake_job, "get_cache_folder", lambda: tmp_path)
+    place_data(monkeypatch, tmp_path)
+    cache = get_cache_folder()
 
     def run(scene, layer) -> tuple[bytes, int]:
-        before = set(tmp_path.iterdir())
+        before = set(cache.iterdir())
         layer.update()
         ended = bake_job.bake_blocking(scene, layer)
         assert ended.ok, ended
-        return bytes(bpy.data.objects["Along"][BAKE_PROPERTY]), len({*tmp_path.iterdir()} - before)
+        return bytes(bpy.data.objects["Along"][BAKE_PROPERTY]), len({*cache.iterdir()} - before)
 
     return run
 
@@ -107,7 +109,7 @@ def test_a_bake_does_not_ask_another_scene(scene, bake) -> None:
     assert made == 1
     other = other_scene(0.9)
     assert bake(scene, layer) == (alone, 0)
-    for stored in bake_job.get_cache_folder().iterdir():
+    for stored in get_cache_folder().iterdir():
         stored.unlink()
     del bpy.data.objects["Along"][BAKE_PROPERTY]
     assert bake(scene, layer) == (alone, 1)

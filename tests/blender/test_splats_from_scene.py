@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import bpy
 import numpy as np
 import pytest
@@ -101,7 +99,7 @@ def test_what_no_camera_sees_has_the_colour_of_its_material() -> None:
     np.testing.assert_allclose(shown(splats)[inner], srgb(np.array(0.8)), atol=1e-6)
 
 
-def test_the_tool_writes_what_the_scene_touches_finely(tmp_path, monkeypatch, capsys) -> None:
+def test_the_tool_writes_what_the_scene_touches_finely(tmp_path, capsys) -> None:
     plate = add_plane("Board", 0.12)
     plate.data.materials.append(photo_material(photo(64)))
     add_plane("Other", 0.1, z=-0.1)
@@ -109,8 +107,7 @@ def test_the_tool_writes_what_the_scene_touches_finely(tmp_path, monkeypatch, ca
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     words = [str(tmp_path / "scene.blend"), "--out", str(tmp_path / "board.ply"), "--object", "Board", "--touched"]
     words += ["--spacing", "4e-3", "--fine", "1e-3"]
-    monkeypatch.setattr(sys, "argv", ["splats_from_scene.py", *words])
-    assert splats_from_scene.main() == 0
+    assert splats_from_scene.main(words) == 0
     head = (tmp_path / "board.ply").read_bytes()[:200]
     assert b"comment Vertical Axis: z" in head
     splats = read_splats(tmp_path / "board.ply")
@@ -121,16 +118,15 @@ def test_the_tool_writes_what_the_scene_touches_finely(tmp_path, monkeypatch, ca
     assert np.abs(splats.means[fine, 1]).max() < 0.02  # around the stroke along x
     assert fine[np.abs(splats.means).max(axis=1) < 5e-3].all()
     first = (tmp_path / "board.ply").read_bytes()
-    assert splats_from_scene.main() == 0
+    assert splats_from_scene.main(words) == 0
     assert (tmp_path / "board.ply").read_bytes() == first
 
 
-def test_an_unknown_object_is_named_and_nothing_is_written(tmp_path, monkeypatch, capsys) -> None:
+def test_an_unknown_object_is_named_and_nothing_is_written(tmp_path, capsys) -> None:
     add_plane("Board")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     words = [str(tmp_path / "scene.blend"), "--out", str(tmp_path / "x.ply"), "--object", "Bord"]
-    monkeypatch.setattr(sys, "argv", ["splats_from_scene.py", *words])
-    assert splats_from_scene.main() == 2
+    assert splats_from_scene.main(words) == 2
     assert "'Bord'" in capsys.readouterr().err
     assert not (tmp_path / "x.ply").exists()
 

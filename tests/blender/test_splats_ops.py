@@ -13,12 +13,12 @@ from builders import add_plane
 from mathutils import Vector
 from panel_recorder import drawn
 from splat_builders import slab, slab_file
+from touch_scene import place_data
 
 from hnf_blender.bridge import splat_reconstruction
 from hnf_blender.bridge.splat_cloud import get_cloud, is_cloud, read_cloud
 from hnf_blender.bridge.splat_reconstruction import TouchSurface
 from hnf_blender.bridge.viewport_pick import cast_on_surface, pick_object_along_ray
-from hnf_blender.ops import import_ops
 from hnf_blender.ops.import_ops import SplatReader
 from hnf_blender.ui.scene_panel import HNF_PT_scale
 from hnf_core.progress import Progress, ignore_progress
@@ -49,7 +49,7 @@ def quick(monkeypatch, tmp_path):
         return made
 
     monkeypatch.setattr(splat_reconstruction, "reconstruct_surface", reconstruct)
-    monkeypatch.setattr(import_ops, "get_cache_folder", lambda: tmp_path / "cache")
+    place_data(monkeypatch, tmp_path / "data")
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from predicted_scene import small_weights, use_weights
 from splat_builders import FINE_M, HALF_M, METRES, coarse_slab_file, read_point_tokens, slab, slab_file
-from touch_scene import signals, touch
+from touch_scene import place_data, signals, touch
 
 from data_tools.write_splats import write_inria
 from hnf_blender.bridge import splat_reconstruction
@@ -235,8 +235,7 @@ def test_the_key_follows_splat_values_and_not_name_or_location(baked, tmp_path) 
 
 def test_a_bake_in_the_window_gives_the_same_tokens(baked, ran: Ran, no_work, operators, tmp_path, monkeypatch) -> None:
     cloud = baked[1]
-    shutil.copytree(ran.out / "cache", tmp_path / "cache")
-    monkeypatch.setattr(bake_job, "get_cache_folder", lambda: tmp_path / "cache")
+    shutil.copytree(ran.out / "cache", place_data(monkeypatch, tmp_path / "data"))
     meant = read_point_tokens(cloud)
     assert bpy.ops.hnf.purge(what="ALL") == {"FINISHED"}
     assert read_point_tokens(cloud) is None

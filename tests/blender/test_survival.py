@@ -10,11 +10,10 @@ import bpy
 import pytest
 from builders import add_plane, bump_material
 from survival_scene import append, bake, duplicate, everything, heard, opened, statuses
-from touch_scene import line_stroke, ridge_plate
+from touch_scene import line_stroke, place_data, ridge_plate
 
 from hnf_blender.bridge.scene.material_definition import assign_definition
 from hnf_blender.bridge.scene.stored_data import delete_property, get_property, read_tokens, set_property
-from hnf_blender.jobs import bake_job
 from hnf_blender.preview.synthesis_thread import read_current_bake
 from hnf_blender.props.material_settings import DEFINITION_PROPERTY
 from hnf_blender.state.session_state import STATE
@@ -37,19 +36,19 @@ os._exit(0)
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("cache")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("data")
 
 
 @pytest.fixture(autouse=True)
-def apart(operators: None, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def apart(operators: None, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Close-ups in a folder of these tests' own; nothing remembered of the file before."""
-    monkeypatch.setattr(bake_job, "get_cache_folder", lambda: cache)
+    place_data(monkeypatch, data)
     STATE.clear()
 
 
 @pytest.fixture(scope="module")
-def saved(cache: Path, operators: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def saved(data: Path, operators: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two surfaces, one with a choice and one with a definition of its own, two strokes, all baked."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     plate, block = ridge_plate(), ridge_plate(name="Block")
@@ -60,7 +59,7 @@ def saved(cache: Path, operators: None, tmp_path_factory: pytest.TempPathFactory
     line_stroke("Below", surface=block, centre=(0.0, 0.0, -0.2), material="", speed_mm_s=80.0, **SHORT)
     bpy.context.scene.hnf.monitor_gain_db = -6.0
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bake_job, "get_cache_folder", lambda: cache)
+        place_data(patch, data)
         assert bpy.ops.hnf.bake() == {"FINISHED"}
     path = tmp_path_factory.mktemp("saved") / "scene.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))

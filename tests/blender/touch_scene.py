@@ -56,6 +56,13 @@ def set_keys(obj, name: str, *keys: tuple[float, float]) -> None:
         obj.keyframe_insert(f"hnf_stroke.{name}", frame=frame)
 
 
+def place_data(patch: pytest.MonkeyPatch, folder: Path) -> Path:
+    """Let Blender keep the add-on's data in a folder, by its environment variable; return the cache's path."""
+    folder.mkdir(exist_ok=True)
+    patch.setenv("BLENDER_USER_DATAFILES", str(folder))
+    return folder / "hnf" / "cache"
+
+
 def save_scene(path: Path) -> Path:
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     return path

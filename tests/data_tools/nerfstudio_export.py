@@ -190,7 +190,7 @@ def export_scene(arguments: argparse.Namespace) -> int:
     return len(splats)
 
 
-def main() -> int:
+def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Export a Blender scene in the manner of nerfstudio.")
     parser.add_argument("scene", type=Path)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
@@ -210,7 +210,7 @@ def main() -> int:
     parser.add_argument("--touched", action="store_true", help="fine on what the scene's strokes touch")
     parser.add_argument("--without-mesh", action="store_true", help="splats and points alone")
     parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words)
     try:
         count = export_scene(arguments)
     except HnfError as error:

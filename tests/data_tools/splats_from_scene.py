@@ -133,8 +133,8 @@ def _parse_point(text: str) -> np.ndarray:
     return values
 
 
-def main() -> int:
-    arguments = build_parser().parse_args()
+def main(words: list[str] | None = None) -> int:
+    arguments = build_parser().parse_args(words)
     try:
         splats = convert_scene(arguments)
         write_inria(arguments.out, splats, comments=(UP_AXIS,))
