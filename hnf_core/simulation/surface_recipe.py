@@ -291,16 +291,6 @@ def knurl(rms_m: float, pitch_m: float, *, irregularity: float = 0.0) -> Lattice
     return Lattice(rms_m, waves, irregularity)
 
 
-EXAMPLE_RECIPES = {
-    "rough": SurfaceRecipe(noise=(Noise(6e-6),)),
-    "grained": SurfaceRecipe(noise=(Noise(4e-6, stretch=8.0),)),
-    "woven": SurfaceRecipe(noise=(Noise(3e-6),), lattices=(plain_weave(12e-6, 0.4e-3),)),
-    "grating": SurfaceRecipe(noise=(Noise(1e-6),), lattices=(grating(8e-6, 0.5e-3),)),
-    "pitted": SurfaceRecipe(noise=(Noise(3e-6),), grains=(Grains(6e-6, 0.4e-3, sign=-1),)),
-}
-"""Example recipes by name."""
-
-
 def random_recipe(rng: np.random.Generator) -> SurfaceRecipe:
     """Draw a recipe from the range of everyday materials: always noise, often anisotropic, with lattices or grains."""
     rms = 10.0 ** rng.uniform(-6.2, -4.6)

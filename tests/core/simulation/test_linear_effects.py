@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from example_recipes import EXAMPLE_RECIPES
 
 from hnf_core.material.contact_model import Mechanics, body_response
 from hnf_core.material.probe import BodyMode, get_probe
@@ -22,7 +23,7 @@ from hnf_core.simulation.simulate import (
     simulate_batch,
     straight_stroke,
 )
-from hnf_core.simulation.surface_recipe import EXAMPLE_RECIPES, TILE_SIZE_M, height_map
+from hnf_core.simulation.surface_recipe import TILE_SIZE_M, height_map
 
 PEN, WOOD = get_probe("pen"), Mechanics(1.0e5, 0.2, 0.3)
 FLAT = SmoothedMaps(np.zeros((64, 64), np.float32))

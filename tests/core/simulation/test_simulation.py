@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from example_recipes import EXAMPLE_RECIPES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -25,7 +26,6 @@ from hnf_core.simulation.simulate import (
     straight_stroke,
 )
 from hnf_core.simulation.surface_recipe import (
-    EXAMPLE_RECIPES,
     TILE_SIZE_M,
     Grains,
     Lattice,
