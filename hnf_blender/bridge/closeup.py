@@ -75,13 +75,7 @@ from .shader.aov_taps import (
     measure_image_step,
 )
 from .shader.bump_displacement import MicroGeometry, Relief, Slopes, judge_normal_colour
-from .shader.closures import (
-    Layers,
-    average_appearance,
-    list_closures,
-    mix_closures,
-    read_shading_value,
-)
+from .shader.closures import Layers, average_appearance, list_closures, mix_closures, read_shading_value
 
 Mask = NDArray[np.bool_]
 

@@ -19,14 +19,7 @@ from hnf_core.tactile.mesh_relief import FaceSpacing
 
 from .. import compat
 from .cycles import MAX_READABLE_WAVELENGTH_M
-from .scene.meshes import (
-    Surface,
-    compute_surface_frame,
-    evaluated_mesh,
-    flush_edits,
-    get_materials,
-    read_surface,
-)
+from .scene.meshes import Surface, compute_surface_frame, evaluated_mesh, flush_edits, get_materials, read_surface
 from .scene.temp_scene import TemporaryScene
 from .shader.aov_taps import IMAGE_NODE, Constant, Passes, Tap, Tapper, find_finest_texel
 from .shader.bump_displacement import MicroGeometry, Relief, Slopes

@@ -20,15 +20,7 @@ from hnf_core.scene.camera import Camera
 from hnf_core.scene.rgbd_view import RgbdView, read_cryptomatte_names
 
 from .. import compat
-from .cycles import (
-    PASSES_FILE,
-    add_camera,
-    configure_cycles,
-    get_planar_depth,
-    read_camera,
-    render_passes,
-    set_camera,
-)
+from .cycles import PASSES_FILE, add_camera, configure_cycles, get_planar_depth, read_camera, render_passes, set_camera
 from .scene.meshes import get_slot_materials, hash_mesh
 from .scene.temp_scene import TemporaryScene, suppress_output
 from .shader.images import fingerprint_file

@@ -24,13 +24,7 @@ from hnf_core.scene.splats.rasterize import SplatView, render_splats
 from hnf_core.tactile.height import fill_masked
 from hnf_core.tactile.image_resolution import estimate_resolved_wavelength
 
-from .closeup import (
-    APPEARANCE_PIXELS,
-    CloseUp,
-    crop_to_patches,
-    find_connected_pixels,
-    make_unoccluded_camera,
-)
+from .closeup import APPEARANCE_PIXELS, CloseUp, crop_to_patches, find_connected_pixels, make_unoccluded_camera
 from .cycles import MAX_CODE, MIN_COLOUR_STD_CODES, UnlitImage
 from .scene.meshes import Surface, make_ray_caster
 from .splat_cloud import CloudFrame, compute_cloud_frame, get_cloud_source, read_cloud

@@ -44,14 +44,7 @@ from .bake_patches import (
     get_resolved_wavelength,
     get_widest_map,
 )
-from .bake_plan import (
-    Plan,
-    PlannedQuery,
-    add_mesh_relief,
-    find_mesh_waves,
-    plan_object_slots,
-    read_previous_run,
-)
+from .bake_plan import Plan, PlannedQuery, add_mesh_relief, find_mesh_waves, plan_object_slots, read_previous_run
 from .material_choice import (
     MaterialRequest,
     SlotMaterial,

@@ -49,13 +49,7 @@ from ..bridge.shader.closures import ReliefSource, find_relief_source, get_state
 from ..bridge.shader.images import list_texture_names
 from ..bridge.shader.object_inputs import find_shader_inputs, format_object_inputs
 from ..bridge.shader.shader_hash import hash_material
-from ..bridge.splat_cloud import (
-    get_cloud,
-    get_cloud_source,
-    get_reconstruction_notes,
-    hash_cloud,
-    is_cloud,
-)
+from ..bridge.splat_cloud import get_cloud, get_cloud_source, get_reconstruction_notes, hash_cloud, is_cloud
 from ..bridge.stroke.place_primitive import choose_default_slots, place_primitive, shorten_name
 from ..bridge.stroke.read_stroke import SceneStroke, hash_path, hash_touch, list_strokes, read_stroke
 from .bake_patches import FIRST_PASS_PIXELS, PATCH_PIXELS, ReliefPredictor, TouchedObject

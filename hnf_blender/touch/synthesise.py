@@ -25,13 +25,7 @@ from hnf_core.field.field import Field
 from hnf_core.field.height_profile import add_seams, build_stroke_profile
 from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.synthesis import synthesise_by_field
-from hnf_core.material.fuse import (
-    BAND_COUNT,
-    LOUD_ESTIMATE_M_S2,
-    LOUDEST_M_S2,
-    estimate_loudness,
-    format_routes,
-)
+from hnf_core.material.fuse import BAND_COUNT, LOUD_ESTIMATE_M_S2, LOUDEST_M_S2, estimate_loudness, format_routes
 from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.progress import Cancelled, Progress, ProgressCallback, ignore_progress, nest_progress
 from hnf_core.scene.camera import Patch

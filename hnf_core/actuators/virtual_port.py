@@ -25,13 +25,7 @@ from .serial_protocol import State
 from .sink import Counts, SinkFormat
 from .sinks.serial import SerialSink
 from .virtual_serial_device import Capabilities, VirtualDevice
-from .virtual_transducer import (
-    GENERIC_TRANSDUCER,
-    Motion,
-    Transducer,
-    counts_to_drive,
-    simulate_motion,
-)
+from .virtual_transducer import GENERIC_TRANSDUCER, Motion, Transducer, counts_to_drive, simulate_motion
 
 CHUNK_FRAMES = 16_384
 """Frames allocated at once; few large arrays, since an hour of small ones would slow Python down."""

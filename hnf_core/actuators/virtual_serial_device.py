@@ -40,12 +40,7 @@ from .serial_protocol import (
     Stop,
 )
 from .sink import Counts
-from .virtual_transducer import (
-    GENERIC_TRANSDUCER,
-    Transducer,
-    compute_temperature_after,
-    counts_to_drive,
-)
+from .virtual_transducer import GENERIC_TRANSDUCER, Transducer, compute_temperature_after, counts_to_drive
 
 IntArray = NDArray[np.int64]
 

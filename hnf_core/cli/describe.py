@@ -28,12 +28,7 @@ from ..material.shared_space import SpaceMatch, find_look, find_touch, load_spac
 from ..material.token import BAND_WAVELENGTHS_M, LEVELS, TOKEN_NAMES, Token
 from ..scene.rgbd_view import write_exr
 from ..tactile.optics import SENSORS
-from ..tactile.photometric_stereo import (
-    DecodedTouch,
-    decode_touch_image,
-    load_calibration,
-    save_calibration,
-)
+from ..tactile.photometric_stereo import DecodedTouch, decode_touch_image, load_calibration, save_calibration
 from ..tactile.tactile_map import Route
 from .commands import HELP
 
@@ -125,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
         _write_height(arguments.height, tactile_map.height)
     record = make_record(described)
     if arguments.picture is not None:
-        from ..export.figure import write_tactile_map_figure
+        from ..export.figure import write_tactile_map_figure  # its imports are slow
 
         nearest = described.ranked[0]
         write_tactile_map_figure(

@@ -16,13 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import UsageError
 from ..field.weights import save_field
 from ..progress import Progress, ProgressBar
-from ..tactile.unet import (
-    DIFFUSION,
-    REGRESSION,
-    MapConfig,
-    find_map_weights,
-    refuse_package_data,
-)
+from ..tactile.unet import DIFFUSION, REGRESSION, MapConfig, find_map_weights, refuse_package_data
 from .commands import (
     HELP,
     LABORATORY_SUBJECTS,

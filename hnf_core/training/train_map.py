@@ -36,15 +36,7 @@ from ..material.encoder_registry import describe_views, get_encoder
 from ..material.fuse import compute_library_spread
 from ..material.token import ENCODER_ID
 from ..tactile.diffusion import make_tactile_map, predict_tactile_maps
-from ..tactile.unet import (
-    DIFFUSION,
-    REGRESSION,
-    TOKEN_ERROR,
-    MapConfig,
-    MapWeights,
-    load_map_weights,
-    save_map_weights,
-)
+from ..tactile.unet import DIFFUSION, REGRESSION, TOKEN_ERROR, MapConfig, MapWeights, load_map_weights, save_map_weights
 from ..tactile.views import AppearanceView
 from .fit import Checkpoint, load_checkpoint, save_checkpoint
 from .map_network import (

@@ -27,14 +27,7 @@ from hnf_core.tactile.diffusion import (
 )
 from hnf_core.tactile.optics import SENSORS, decode_gradients
 from hnf_core.tactile.tactile_map import Route
-from hnf_core.tactile.unet import (
-    DIFFUSION,
-    REGRESSION,
-    MapConfig,
-    build_unet,
-    load_map_weights,
-    save_map_weights,
-)
+from hnf_core.tactile.unet import DIFFUSION, REGRESSION, MapConfig, build_unet, load_map_weights, save_map_weights
 from hnf_core.tactile.views import PITCHES_M
 
 

@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 
 from hnf_core.material.band_descriptor import describe
 from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, Token
-from hnf_core.tactile.diffusion import (
-    build_condition,
-    get_pitch_index,
-    log_snr,
-    normalise_view,
-    predict_tactile_maps,
-)
+from hnf_core.tactile.diffusion import build_condition, get_pitch_index, log_snr, normalise_view, predict_tactile_maps
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import TactileMap
 from hnf_core.tactile.unet import MapWeights, UNet, build_unet, forward, load_map_weights

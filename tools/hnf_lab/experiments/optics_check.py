@@ -38,10 +38,7 @@ from hnf_core.datasets.ball_calibration import (
     select_pixels_under,
 )
 from hnf_core.datasets.data_files import find_files
-from hnf_core.errors import (
-    HnfError,
-    UsageError,
-)
+from hnf_core.errors import HnfError, UsageError
 from hnf_core.export.figure import write_figure
 from hnf_core.tactile.optics import SENSORS, Sensor
 from hnf_core.tactile.photometric_stereo import SATURATION_VALUE

@@ -42,10 +42,7 @@ from hnf_core.files import write_text
 from hnf_core.material.band_descriptor import describe, get_smooth_token_values
 from hnf_core.material.fuse import fuse
 from hnf_core.material.token import Token
-from hnf_core.metrics.spectra import (
-    average_spectrum_distance_db,
-    welch,
-)
+from hnf_core.metrics.spectra import average_spectrum_distance_db, welch
 from hnf_core.tactile.fourier_filters import apply_filters, frequencies, gaussian_mtf
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import Route

@@ -8,25 +8,12 @@ from hypothesis import strategies as st
 torch = pytest.importorskip("torch")
 
 from hnf_core.action.synthetic_actions import make_random_smooth_action, make_steady_action
-from hnf_core.datasets.hatt_models import (
-    HattProcess,
-    TextureModel,
-    lsf_from_polynomial,
-    polynomial_from_lsf,
-)
+from hnf_core.datasets.hatt_models import HattProcess, TextureModel, lsf_from_polynomial, polynomial_from_lsf
 from hnf_core.datasets.recording import Recording
 from hnf_core.errors import FileError
 from hnf_lab.baselines import piecewise_ar as fitting
-from hnf_lab.baselines.interface import (
-    MaterialRecordings,
-    cut_segments,
-)
-from hnf_lab.baselines.piecewise_ar import (
-    PiecewiseAr,
-    compute_ar_density,
-    compute_power_spectrum,
-    fit_burg,
-)
+from hnf_lab.baselines.interface import MaterialRecordings, cut_segments
+from hnf_lab.baselines.piecewise_ar import PiecewiseAr, compute_ar_density, compute_power_spectrum, fit_burg
 
 RATE = 10_000.0
 BAND_HZ = np.arange(2, 101) * 10.0

@@ -47,12 +47,7 @@ from hnf_lab.evaluation.tactile_map.naive_baselines import (
     fit_grey_m,
     fit_naive_baselines,
 )
-from hnf_lab.evaluation.tactile_map.report import (
-    compute_excess,
-    make_tables,
-    report_to_json,
-    write_plots,
-)
+from hnf_lab.evaluation.tactile_map.report import compute_excess, make_tables, report_to_json, write_plots
 from hnf_lab.evaluation.tactile_map.run import MapSetup, MapSizes, make_network_entries, measure_maps
 from hnf_lab.evaluation.tactile_map.score import (
     SSIM_SIDE,
