@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -22,8 +22,8 @@ from hnf_core.material.band_descriptor import find_noise_cutoff, measure_octave_
 from hnf_core.material.library import Appearance
 from hnf_core.material.token import BAND_WAVELENGTHS_M
 from hnf_core.scene.camera import CAMERA_DISTANCE_M, Camera, Patch
-from hnf_core.scene.mesh import crop_mesh, has_area, has_crowded_edge
-from hnf_core.scene.raycast import CastView, RayCaster, cast_view
+from hnf_core.scene.mesh import TriangleMesh, crop_mesh, has_area, has_crowded_edge
+from hnf_core.scene.raycast import CastView, ViewCaster, cast_view, compute_view_normals
 from hnf_core.scene.rgbd_view import RgbdView
 from hnf_core.tactile.fourier_filters import decimate, restore_texels
 from hnf_core.tactile.height import fill_masked, height_from_slopes
@@ -142,7 +142,7 @@ class CloseUp:
     patch : Patch
         Center, tangents, size and material slot.
     view : RgbdView
-        Albedo, planar depth, evaluated polygon ids, and shading normals in the surface frame.
+        Albedo, planar depth, and evaluated polygon ids.
     height : (H, W) float32 array or None
         Height along the patch's normal [m], with mean 0 under `mask`, 0 elsewhere: that of the shader, and
         the relief of the mesh. None without either.
@@ -204,7 +204,7 @@ class CloseUpRenderer:
         Touched object.
     patches : sequence of Patch
         All patches that will be rendered, in its surface frame.
-    surface, caster : Surface and RayCaster, optional
+    surface, caster : Surface and ViewCaster, optional
         Surface of `obj` at `frame` and its ray caster, if known.
     pixels : int, default 512
         Maximum side of an image [pixels]; APPEARANCE_PIXELS is used if neither relief nor color varies.
@@ -230,7 +230,7 @@ class CloseUpRenderer:
         patches: Sequence[Patch],
         *,
         surface: Surface | None = None,
-        caster: RayCaster | None = None,
+        caster: ViewCaster | None = None,
         pixels: int = 512,
         metres_per_unit: float = 1.0,
         frame: float | None = None,
@@ -368,7 +368,15 @@ class CloseUpRenderer:
                 names = {tap.name for tap in slot.taps}
                 passes = {name: decimate(passes[name], sampling.factor) for name in names & passes.keys()}
         rendered = _RenderedPatch(
-            patch, camera, cast, passes, slot, scene.isolated, self._metres_per_unit, sampling.folded_m
+            patch,
+            camera,
+            cast,
+            scene.surface.mesh,
+            passes,
+            slot,
+            scene.isolated,
+            self._metres_per_unit,
+            sampling.folded_m,
         )
         mask = _mask_patch_surface(rendered, scene.surface)
         if sampling.factor > 1 and not mask.all():
@@ -384,7 +392,7 @@ class _CloseUpScene:
     temporary: TemporaryScene
     isolated: IsolatedObject
     surface: Surface
-    caster: RayCaster
+    caster: ViewCaster
     slots: Mapping[int, SlotReading]
     camera: Any
 
@@ -418,11 +426,17 @@ def _describe_bad_faces(surface: Surface, patches: Sequence[Patch]) -> tuple[str
 
 @dataclass(frozen=True)
 class _CastPatch:
-    """A patch with its ray casts."""
+    """A patch with its ray casts on a mesh."""
 
     patch: Patch
     camera: Camera
     cast: CastView
+    mesh: TriangleMesh
+
+    @cached_property
+    def normal(self) -> Float:
+        """Smooth shading normals (H, W, 3), which only normal maps need."""
+        return compute_view_normals(self.mesh, self.camera, self.cast)
 
     @property
     def pixel_m(self) -> float:
@@ -454,7 +468,7 @@ class _MaskedPatch:
     spacing: FaceSpacing | None
 
 
-def make_unoccluded_camera(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, int]:
+def make_unoccluded_camera(patch: Patch, pixels: int, caster: ViewCaster) -> tuple[Camera, int]:
     """Return the patch's camera and the number of rays cast.
 
     If something is above the patch's center, the near clipping plane is between it and the patch.
@@ -492,7 +506,6 @@ def _build_closeup(masked: _MaskedPatch, surface: Surface) -> CloseUp:
         rgb=np.where((rendered.cast.triangle >= 0)[..., None], albedo, np.float32(0.0)),
         depth=rendered.cast.depth.astype(np.float32),
         face_id=rendered.cast.face_id,
-        normal=rendered.cast.normal.astype(np.float32),
     )
     return CloseUp(
         patch=rendered.patch,
@@ -513,12 +526,12 @@ def _build_closeup(masked: _MaskedPatch, surface: Surface) -> CloseUp:
     )
 
 
-def find_mesh_relief(surface: Surface, patch: Patch, caster: RayCaster, max_pixels: int) -> MeshRelief | None:
+def find_mesh_relief(surface: Surface, patch: Patch, caster: ViewCaster, max_pixels: int) -> MeshRelief | None:
     """Return the relief of the mesh that a close-up of a patch would have, from rays alone; None if it is smooth."""
     side = MIN_MESH_SIDE
     while True:
         camera, _ = make_unoccluded_camera(patch, side, caster)
-        cast = _CastPatch(patch, camera, cast_view(caster, surface.mesh, camera))
+        cast = _CastPatch(patch, camera, cast_view(caster, surface.mesh, camera), surface.mesh)
         mask = _mask_patch_surface(cast, surface)
         spacing = _find_fine_faces(cast, mask, surface)
         if spacing is None:
@@ -764,7 +777,7 @@ def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int, fa
     It is 0 without a normal map.
     """
     total = np.zeros((rendered.camera.height, rendered.camera.width))
-    smooth = rendered.cast.normal
+    smooth = rendered.normal
     frame = rendered.patch.x_axis - smooth * (smooth @ rendered.patch.x_axis)[..., None]
     length = np.linalg.norm(frame, axis=-1, keepdims=True)
     x_axis = frame / np.where(length > 0.0, length, 1.0)

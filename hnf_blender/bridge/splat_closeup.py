@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hnf_core.material.library import Appearance
 from hnf_core.scene.camera import CAMERA_DISTANCE_M, Camera, Patch
-from hnf_core.scene.raycast import CastView, RayCaster, cast_view
+from hnf_core.scene.raycast import CastView, ViewCaster, cast_view
 from hnf_core.scene.rgbd_view import RgbdView
 from hnf_core.scene.splats.depth_views import compute_linear_colour
 from hnf_core.scene.splats.gaussians import Splats
@@ -121,7 +121,7 @@ class _SplatScene:
     """Splats, the file they are from and their frame, and the part of the surface mesh near the patches."""
 
     surface: Surface
-    caster: RayCaster
+    caster: ViewCaster
     frame: CloudFrame
     splats: Splats
     source: str

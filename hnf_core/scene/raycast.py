@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -67,6 +67,14 @@ class RayCaster(Protocol):
         ...
 
 
+class ViewCaster(RayCaster, Protocol):
+    """Interface of ray casters that `cast_view` uses."""
+
+    def find_triangles(self, origins: Float, directions: Float) -> Int:
+        """Return the first triangle (n,) that n rays hit, -1 if none; origins (n, 3), directions (n, 3) or (1, 3)."""
+        ...
+
+
 @dataclass(frozen=True)
 class CastView:
     """Result of `cast_view`: one value per pixel.
@@ -77,17 +85,11 @@ class CastView:
         Planar depth [m], inf if nothing is hit.
     triangle, face_id : ndarray of int32, shape (H, W)
         Index of the triangle and of its polygon, -1 if none.
-    barycentric : ndarray of float64, shape (H, W, 3)
-        Weights of the triangle's corners.
-    normal : ndarray of float64, shape (H, W, 3)
-        Smooth shading normal, zero if none.
     """
 
     depth: Float
     triangle: Int
     face_id: Int
-    barycentric: Float
-    normal: Float
 
 
 class EmbreeCaster:
@@ -113,18 +115,23 @@ class EmbreeCaster:
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Return the first hits of n rays, origins and directions (n, 3)."""
         origins, directions = as_ray_arrays(origins, directions)
+        return refine_hits(self._corners, self.find_triangles(origins, directions), origins, directions)
+
+    def find_triangles(self, origins: Float, directions: Float) -> Int:
+        """Return the first triangle (n,) that n rays hit, -1 if none; origins (n, 3), directions (n, 3) or (1, 3)."""
         # A far camera's origin would lose digits in float32, so each ray starts where it enters the bounding sphere.
         local = self._frame.to_frame(origins)
         length = np.sqrt(_dot(directions, directions))
         unit = directions / np.where(length > 0.0, length, 1.0)[:, None]
-        skip = np.maximum(-_dot(local, unit) - 1.01 * self._frame.radius * self._frame.scale, 0.0)
-        start = np.ascontiguousarray(local + skip[:, None] * unit, dtype=np.float32)
-        if len(start) == 0 or len(self._triangle_ids) == 0:
-            return _make_empty_hits(len(start))
-        result = self._scene.run(start, np.ascontiguousarray(unit, dtype=np.float32), output=True)
-        embree_ids = np.asarray(result["primID"], dtype=np.int32)
-        chosen = np.where(embree_ids >= 0, self._triangle_ids[embree_ids], -1).astype(np.int32)
-        return refine_hits(self._corners, chosen, origins, directions)
+        skip = -_dot(local, np.broadcast_to(unit, local.shape)) - 1.01 * self._frame.radius * self._frame.scale
+        if (skip > 0.0).any():
+            local = local + np.maximum(skip, 0.0)[:, None] * unit
+        if len(local) == 0 or len(self._triangle_ids) == 0:
+            return np.full(len(local), -1, dtype=np.int32)
+        towards = np.broadcast_to(unit.astype(np.float32), local.shape)
+        found = self._scene.run(np.ascontiguousarray(local, np.float32), np.ascontiguousarray(towards))
+        embree_ids = np.asarray(found, dtype=np.int32)
+        return np.where(embree_ids >= 0, self._triangle_ids[embree_ids], -1).astype(np.int32)
 
 
 def make_embree_caster(mesh: TriangleMesh) -> EmbreeCaster:
@@ -132,12 +139,12 @@ def make_embree_caster(mesh: TriangleMesh) -> EmbreeCaster:
     return EmbreeCaster(mesh)
 
 
-def cast_view(caster: RayCaster, mesh: TriangleMesh, camera: Camera) -> CastView:
-    """Cast a ray through every pixel center of a camera: depth, ids, barycentrics and smooth normals in the clip range.
+def cast_view(caster: ViewCaster, mesh: TriangleMesh, camera: Camera) -> CastView:
+    """Cast a ray through every pixel center of a camera: depth and ids in the clip range.
 
     Parameters
     ----------
-    caster : RayCaster
+    caster : ViewCaster
         Ray caster of `mesh`.
     mesh : TriangleMesh
         The mesh.
@@ -151,31 +158,113 @@ def cast_view(caster: RayCaster, mesh: TriangleMesh, camera: Camera) -> CastView
 
     Notes
     -----
-    Rays are cast `RAYS_PER_BLOCK` at a time, so that the arrays stay in the processor's cache.
+    Rays are cast `RAYS_PER_BLOCK` at a time, so that the arrays stay in the processor's cache. Depth is computed
+    from the triangles' planes in the camera's frame, each plane once.
     """
     step = max(RAYS_PER_BLOCK // camera.width, 1)
-    bands = [_cast_rows(caster, mesh, camera, slice(top, top + step)) for top in range(0, camera.height, step)]
-    return CastView(*(np.concatenate([getattr(band, field.name) for band in bands]) for field in fields(CastView)))
-
-
-def _cast_rows(caster: RayCaster, mesh: TriangleMesh, camera: Camera, rows: slice) -> CastView:
-    origins, directions = camera.pixel_rays(rows)
-    origins = origins + camera.clip_start * directions
-    shape = origins.shape[:2]
-    hits = caster.cast(origins.reshape(-1, 3), directions.reshape(-1, 3))
-    depth = hits.distance + camera.clip_start
-    visible = (hits.triangle >= 0) & (depth <= camera.clip_end)
-    triangle = np.where(visible, hits.triangle, -1).astype(np.int32)
-    barycentric = np.where(visible[:, None], hits.barycentric, 0.0)
-    normal = np.einsum("nc,ncx->nx", barycentric, mesh.normals[triangle])
-    length = np.sqrt(_dot(normal, normal))[:, None]
+    bands = [_find_triangles(caster, camera, slice(top, top + step)) for top in range(0, camera.height, step)]
+    triangle = np.concatenate(bands)
+    depth = _compute_plane_depth(mesh, camera, triangle)
+    visible = (triangle >= 0) & np.isfinite(depth) & (depth <= camera.clip_end)
+    triangle = np.where(visible, triangle, -1).astype(np.int32)
     return CastView(
-        depth=np.where(visible, depth, np.inf).reshape(shape),
-        triangle=triangle.reshape(shape),
-        face_id=np.where(visible, mesh.face[triangle], -1).astype(np.int32).reshape(shape),
-        barycentric=barycentric.reshape(*shape, 3),
-        normal=(normal / np.where(length > 0.0, length, 1.0)).reshape(*shape, 3),
+        depth=np.where(visible, depth, np.inf),
+        triangle=triangle,
+        face_id=np.where(visible, mesh.face[triangle], -1).astype(np.int32),
     )
+
+
+def compute_view_normals(mesh: TriangleMesh, camera: Camera, view: CastView) -> Float:
+    """Compute the smooth shading normals (H, W, 3) of a camera's view of a mesh, zero where nothing is hit."""
+    distinct, index = _find_distinct_pixels(view.triangle, len(mesh.triangles))
+    origin, _, *axes = compute_triangle_planes(_read_camera_corners(mesh, camera, distinct))
+    is_hit = view.triangle >= 0
+    depth = np.where(is_hit, view.depth, 0.0)
+    scale = depth if camera.kind == "perspective" else 1.0
+    (u, v), to_plane = _compute_pixel_offsets(camera), np.linalg.inv(camera.intrinsics[:2, :2])
+    x, y = (scale * (row[0] * u + row[1] * v) for row in to_plane)
+    # Rounding may put a point outside an edge by 1e-7.
+    second, third = (
+        np.maximum(axis[index, 0] * x + axis[index, 1] * y + axis[index, 2] * depth - _dot(axis, origin)[index], 0.0)
+        for axis in axes
+    )
+    first = np.maximum(1.0 - second - third, 0.0)
+    corners = mesh.normals[distinct]
+    normal = np.empty((*view.triangle.shape, 3))
+    for each in range(3):
+        one, two, three = np.ascontiguousarray(corners[..., each].T)
+        normal[..., each] = first * one[index] + second * two[index] + third * three[index]
+    length = np.sqrt(np.einsum("hwx,hwx->hw", normal, normal))
+    return np.asarray(normal * (is_hit / np.where(length > 0.0, length, 1.0))[..., None])
+
+
+def _find_triangles(caster: ViewCaster, camera: Camera, rows: slice) -> Int:
+    """Return the first triangle (rows, W) behind the near clipping plane at each pixel of a range of image rows."""
+    if camera.kind == "orthographic":
+        origins, directions = _place_parallel_rays(camera, rows), camera.pose[None, :3, 2]
+    else:
+        origins, directions = (rays.reshape(-1, 3) for rays in camera.pixel_rays(rows))
+        origins = origins + camera.clip_start * directions
+    return caster.find_triangles(origins.reshape(-1, 3), directions).reshape(-1, camera.width)
+
+
+def _place_parallel_rays(camera: Camera, rows: slice) -> Float:
+    """Return the points (rows, W, 3) where an orthographic camera's pixel rays leave its near clipping plane."""
+    u, v = _compute_pixel_offsets(camera)
+    x_step, y_step = (camera.pose[:3, :2] @ np.linalg.inv(camera.intrinsics[:2, :2])).T
+    middle = camera.pose[:3, 3] + camera.clip_start * camera.pose[:3, 2]
+    points = np.empty((len(v[rows]), camera.width, 3))
+    for axis in range(3):
+        points[..., axis] = (middle[axis] + y_step[axis] * v[rows]) + x_step[axis] * u
+    return points
+
+
+def _compute_pixel_offsets(camera: Camera) -> tuple[Float, Float]:
+    """Return the distances of the pixel centers from the principal point: u (1, W) and v (H, 1) [pixels]."""
+    u = np.arange(camera.width) + 0.5 - camera.intrinsics[0, 2]
+    v = np.arange(camera.height) + 0.5 - camera.intrinsics[1, 2]
+    return u[None], v[:, None]
+
+
+def _find_distinct_pixels(triangle: Int, count: int) -> tuple[Int, Int]:
+    """Return the distinct triangles of an image (H, W), and the position (H, W) of each pixel's among them.
+
+    `count` is the number of the mesh's triangles. Pixels that show none have any position.
+    """
+    is_seen = np.zeros(count, dtype=bool)
+    is_seen[triangle] = True
+    distinct = np.flatnonzero(is_seen).astype(np.int32)
+    position = np.zeros(count, dtype=np.int32)
+    position[distinct] = np.arange(len(distinct))
+    return distinct, position[triangle]
+
+
+def _read_camera_corners(mesh: TriangleMesh, camera: Camera, triangles: Int) -> Float:
+    """Return the corner positions (n, 3, 3) of n triangles in a camera's frame [m]."""
+    return np.asarray((mesh.vertices[mesh.triangles[triangles]] - camera.pose[:3, 3]) @ camera.pose[:3, :3])
+
+
+def _compute_plane_depth(mesh: TriangleMesh, camera: Camera, triangle: Int) -> Float:
+    """Return the planar depth (H, W) [m] at which pixel rays cross the planes of their triangles (H, W).
+
+    It is inf where a ray lies in the plane, and undefined where `triangle` is -1.
+    """
+    distinct, index = _find_distinct_pixels(triangle, len(mesh.triangles))
+    corners, (u, v) = _read_camera_corners(mesh, camera, distinct), _compute_pixel_offsets(camera)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    offset, facing = _dot(normal, corners[:, 0]), normal[:, 2]
+    to_plane = np.linalg.inv(camera.intrinsics[:2, :2])
+    u_step, v_step = (normal[:, 0] * column[0] + normal[:, 1] * column[1] for column in to_plane.T)
+    if camera.kind == "perspective":
+        facing = facing[index] + u_step[index] * u + v_step[index] * v
+        parallel = facing == 0.0
+        return np.asarray(np.where(parallel, np.inf, offset[index] / np.where(parallel, 1.0, facing)))
+    parallel = facing == 0.0
+    offset, u_step, v_step = (
+        np.where(parallel, missed, each / np.where(parallel, 1.0, facing))
+        for each, missed in ((offset, np.inf), (u_step, 0.0), (v_step, 0.0))
+    )
+    return np.asarray(offset[index] - u_step[index] * u - v_step[index] * v)
 
 
 def find_closest_barycentric(corners: Float, points: Float) -> Float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.scene.mesh import TriangleMesh, compute_float32_frame
 from hnf_core.scene.raycast import (
@@ -26,6 +26,10 @@ class ReferenceGeometry:
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         origins, directions = as_ray_arrays(origins, directions)
+        return refine_hits(self._corners, self.find_triangles(origins, directions), origins, directions)
+
+    def find_triangles(self, origins: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.int32]:
+        directions = np.broadcast_to(directions, origins.shape)
         chosen, planes = np.full(len(origins), -1, dtype=np.int32), compute_triangle_planes(self._corners)
         for index in range(len(origins)):
             origin, direction = (np.broadcast_to(vectors[index], planes[0].shape) for vectors in (origins, directions))
@@ -33,7 +37,7 @@ class ReferenceGeometry:
             valid = (weights >= 0.0).all(axis=-1) & (distance >= 0.0)
             if valid.any():
                 chosen[index] = np.argmin(np.where(valid, distance, np.inf))
-        return refine_hits(self._corners, chosen, origins, directions)
+        return chosen
 
     def closest_points(self, points: ArrayLike) -> ClosestPoints:
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)

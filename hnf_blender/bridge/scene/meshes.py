@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from hnf_core.errors import SceneError
 from hnf_core.progress import add_work
 from hnf_core.scene.mesh import TriangleMesh, compute_float32_frame, has_area
-from hnf_core.scene.raycast import Hits, RayCaster, make_embree_caster, refine_hits
+from hnf_core.scene.raycast import Hits, ViewCaster, as_ray_arrays, make_embree_caster, refine_hits
 
 from ..shader.images import explain_missing_image, get_absolute_path
 
@@ -423,19 +423,21 @@ class BlenderGeometry:
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Cast rays; origins and directions are (n, 3) in the mesh's frame."""
-        origins = np.asarray(origins, dtype=np.float64).reshape(-1, 3)
-        directions = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
+        origins, directions = as_ray_arrays(origins, directions)
+        return refine_hits(self._corners, self.find_triangles(origins, directions), origins, directions)
+
+    def find_triangles(self, origins: Float, directions: Float) -> NDArray[np.int32]:
+        """Return the first triangle (n,) that n rays hit, -1 if none; origins (n, 3), directions (n, 3) or (1, 3)."""
         triangle = np.full(len(origins), -1, dtype=np.int32)
-        for index, (origin, direction) in enumerate(
-            zip(self._frame.to_frame(origins).tolist(), directions.tolist(), strict=True)
-        ):
+        towards = np.broadcast_to(directions, origins.shape).tolist()
+        for index, (origin, direction) in enumerate(zip(self._frame.to_frame(origins).tolist(), towards, strict=True)):
             hit = self._tree.ray_cast(origin, direction)[2]
             if hit is not None:
                 triangle[index] = self._ray_triangle[hit]
-        return refine_hits(self._corners, triangle, origins, directions)
+        return triangle
 
 
-def make_ray_caster(mesh: TriangleMesh) -> RayCaster:
+def make_ray_caster(mesh: TriangleMesh) -> ViewCaster:
     """Make an Embree ray caster, or one of Blender's BVH if Embree is not installed (Linux on ARM).
 
     Both give equal results; Blender's is ten times slower.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,13 @@ from hypothesis import strategies as st
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import Camera, orthographic
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.raycast import cast_view, find_closest_barycentric, make_embree_caster, refine_hits
+from hnf_core.scene.raycast import (
+    cast_view,
+    compute_view_normals,
+    find_closest_barycentric,
+    make_embree_caster,
+    refine_hits,
+)
 from reference.geometry import ReferenceGeometry
 
 pytest.importorskip("embreex", reason="embreex is not installed here")
@@ -158,7 +166,8 @@ def test_a_view_gives_depth_polygon_and_normal_in_the_clip_range():
     view = cast_view(make_embree_caster(mesh), mesh, below_roof)
     np.testing.assert_allclose(view.depth, 0.01, rtol=1e-12)
     assert (view.face_id == 0).all()  # both halves of the square are polygon 0
-    np.testing.assert_allclose(view.normal, np.broadcast_to([0, 0, 1.0], view.normal.shape))
+    normal = compute_view_normals(mesh, below_roof, view)
+    np.testing.assert_allclose(normal, np.broadcast_to([0, 0, 1.0], normal.shape))
     roofed = cast_view(make_embree_caster(mesh), mesh, camera)
     x, y, _ = np.moveaxis(camera.unproject(camera.pixel_centres(), np.zeros((32, 32))), -1, 0)
     under = x > y + 1e-9  # the roof's triangle
@@ -169,7 +178,43 @@ def test_a_view_gives_depth_polygon_and_normal_in_the_clip_range():
     nothing = cast_view(make_embree_caster(mesh), mesh, short)
     assert np.isinf(nothing.depth).all()
     assert (nothing.face_id == -1).all()
-    assert (nothing.normal == 0.0).all()
+    assert (compute_view_normals(mesh, short, nothing) == 0.0).all()
+
+
+def random_camera(random, kind):
+    """A camera 3 m from the origin, which it has anywhere in its image, with pixels that are not square."""
+    pose = np.eye(4)
+    pose[:3, :3] = np.linalg.qr(random.standard_normal((3, 3)))[0]
+    pose[:3, 0] *= np.linalg.det(pose[:3, :3])
+    pose[:3, 3] = -3.0 * pose[:3, 2]
+    focal = 30.0 if kind == "perspective" else 12.0
+    intrinsics = np.array([[focal, 1.5, 18.0], [0.0, 1.2 * focal, 13.0], [0.0, 0.0, 1.0]])
+    return Camera(kind, 40, 30, intrinsics, pose, clip_start=2.2, clip_end=3.8)
+
+
+@pytest.mark.parametrize("kind", ["orthographic", "perspective"])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_view_agrees_with_single_rays(kind, seed):
+    random = np.random.default_rng(seed)
+    mesh = mesh_of(random.uniform(-1.0, 1.0, (90, 3)), np.arange(90).reshape(-1, 3).tolist())
+    turned = mesh.normals + 0.4 * random.standard_normal(mesh.normals.shape)
+    mesh = replace(mesh, normals=turned / np.linalg.norm(turned, axis=-1, keepdims=True))
+    camera = random_camera(random, kind)
+    origins, directions = (rays.reshape(-1, 3) for rays in camera.pixel_rays())
+    hits = ReferenceGeometry(mesh).cast(origins + camera.clip_start * directions, directions)
+    depth = hits.distance + camera.clip_start
+    triangle = np.where(depth <= camera.clip_end, hits.triangle, -1)
+    view = cast_view(make_embree_caster(mesh), mesh, camera)
+    same = view.triangle.ravel() == triangle
+    assert same.mean() > 0.98  # on an edge either neighbor is right
+    hit = same & (triangle >= 0)
+    assert 0.1 < hit.mean() < 1.0
+    assert np.isinf(view.depth.ravel()[same & ~hit]).all()
+    np.testing.assert_allclose(view.depth.ravel()[hit], depth[hit], rtol=1e-12)
+    normal = np.einsum("nc,ncx->nx", hits.barycentric, mesh.normals[hits.triangle])[hit]
+    found = compute_view_normals(mesh, camera, view).reshape(-1, 3)
+    np.testing.assert_allclose(found[hit], normal / np.linalg.norm(normal, axis=1, keepdims=True), atol=1e-10)
+    assert not found[same & ~hit].any()
 
 
 @pytest.mark.parametrize("at_once", [1, 33, 64, 500, 1 << 20])
@@ -181,5 +226,5 @@ def test_a_view_is_the_same_for_any_ray_block_size(at_once, monkeypatch):
     assert 0.1 < (whole.triangle >= 0).mean() < 1.0
     monkeypatch.setattr("hnf_core.scene.raycast.RAYS_PER_BLOCK", at_once)
     banded = cast_view(make_embree_caster(mesh), mesh, view)
-    for name in ("depth", "triangle", "face_id", "barycentric", "normal"):
+    for name in ("depth", "triangle", "face_id"):
         assert getattr(banded, name).tobytes() == getattr(whole, name).tobytes()
