@@ -451,12 +451,17 @@ def _average_area_vectors(point: Float, normal: Float, centre: Float, area: Floa
         axis=1
     )
     centre, area = centre[near], area[near]
-    square = sum((point[:, None, axis] - centre[None, :, axis]) ** 2 for axis in range(3))
-    weight = np.where(square <= _NORMAL_REACH_M**2, np.exp(-0.5 * square / SMOOTH_NORMAL_M**2), 0.0)
-    direction = area / np.maximum(np.linalg.norm(area, axis=1), 1e-300)[:, None]
+    square = np.square(point[:, None, 0] - centre[None, :, 0])
+    for axis in (1, 2):
+        square += np.square(point[:, None, axis] - centre[None, :, axis])
+    # Few cells are within reach of each point.
+    row, column = np.nonzero(square <= _NORMAL_REACH_M**2)
+    direction = (area / np.maximum(np.linalg.norm(area, axis=1), 1e-300)[:, None])[column]
+    weighted = np.exp(-0.5 * square[row, column] / SMOOTH_NORMAL_M**2)[:, None] * area[column]
     # Flanks of a ridge may face away from each other by up to 120°, the back of a sheet faces away by 180°.
     for least in (-0.5, 0.0):
-        mean = np.where(normal @ direction.T > least, weight, 0.0) @ area
+        counts = np.flatnonzero(np.einsum("px,px->p", normal[row], direction) > least)
+        mean = np.stack([np.bincount(row[counts], weighted[counts, k], len(point)) for k in range(3)], axis=-1)
         length = np.linalg.norm(mean, axis=1)
         normal = np.where((length > 1e-18)[:, None], mean / np.maximum(length, 1e-300)[:, None], normal)
     return normal
