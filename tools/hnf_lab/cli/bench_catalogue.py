@@ -116,6 +116,12 @@ def _measure_views(options: BenchOptions) -> list[Row]:
     return measure_views(options)
 
 
+def _measure_pictures(options: BenchOptions) -> list[Row]:
+    from ..blender_bench.pictures import measure_pictures
+
+    return measure_pictures(options)
+
+
 def _measure_scale(options: BenchOptions) -> list[Row]:
     from ..bench.strokes import measure_scale as of_signals
     from ..blender_bench.scale import measure_scale
@@ -140,6 +146,7 @@ BENCHES = (
     Bench(
         "views", "RGB-D of the same cameras: ours and BlenderProc's way, time and error; patches, depth", _measure_views
     ),
+    Bench("pictures", "a stroke's view in several ways, in turn, and its figure: time and error", _measure_pictures),
     Bench(
         SCALE_NAME,
         "cost against objects, faces, strokes, seconds, materials: time, memory, work, exponents",
