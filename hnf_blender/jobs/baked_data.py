@@ -14,16 +14,11 @@ from ..bridge.scene.stored_data import SCHEMA_PROPERTY, count_token_bytes, remov
 from ..bridge.splat_cloud import get_cloud, remove_point_tokens
 from ..bridge.stroke.read_stroke import list_strokes
 from ..props.scene_settings import find_index
+from ..state.addon_settings import get_cache_folder
 from ..state.labels import format_bytes
 from ..state.session_state import STATE, PlanLine, PlanView, suppress_change_tracking
-from ..touch.bake_plan import (
-    PREDICTION_SECONDS,
-    SYNTHESIS_SECONDS,
-    describe_stated_heights,
-    estimate_closeup_seconds,
-    estimate_max_patches,
-    plan_slots,
-)
+from ..touch.bake_cost import Work, measure_slowness
+from ..touch.bake_plan import describe_stated_heights, estimate_stroke, find_touched_parts, plan_slots
 from ..touch.bake_storage import check_hidden, check_validity, clear_bake, count_stored_bytes, has_tokens
 from ..touch.report import Freshness, StrokeStatus
 from ..touch.session import GatheredJobs, Session, StrokeJob, add_scene_notes, gather_curve_jobs, make_scene_session
@@ -46,24 +41,21 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
     add_scene_notes(session, gathered)
     lines: list[PlanLine] = []
     stroke_label, statuses = tr("stroke '{name}'"), STATE.get_statuses(scene)
-    seconds, needed = 0.0, []
+    work, needed = Work(), []
+    cache, counted = get_cache_folder(), set[str]()
     predicted_materials: dict[str, None] = {}
     for job in gathered.jobs:
         status = statuses[job.curve_name] = check_validity(find_object(scene, job.curve_name), job)
         if status.freshness is Freshness.FORCE or is_up_to_date(session, job):
             lines.append(PlanLine("fresh", stroke_label.format(name=job.name), status.why))
             continue
-        patches = estimate_max_patches(0.0 if job.stroke is None else job.stroke.length_m)
-        slots = plan_slots(session, job)
-        predicted_slots = [slot for slot in slots if slot.route is Route.PREDICTED]
+        predicted_slots = [slot for slot in plan_slots(session, job) if slot.route is Route.PREDICTED]
         predicted_materials.update(dict.fromkeys(slot.material for slot in predicted_slots))
-        seconds += (
-            patches * (estimate_closeup_seconds(slots) + (PREDICTION_SECONDS if predicted_slots else 0.0))
-            + SYNTHESIS_SECONDS
-        )
+        work += estimate_stroke(session, job, find_touched_parts(session, job), cache, counted)
         needed.append(job)
         description = tr("stroke '{name}' on '{surface}'").format(name=job.name, surface=job.object_name)
         lines.append(PlanLine("needed", description, _explain_status(status)))
+    seconds = work.estimate_seconds(measure_slowness()) if needed else 0.0
     if needed and get_process() is None:
         seconds += CHILD_START_SECONDS
     for failure in gathered.failed:

@@ -199,6 +199,8 @@ PATCH_PIXELS = 512
 mm)."""
 FIRST_PASS_PIXELS = 128
 """Side of a first pass if all detail is in images [pixels]: enough for texels of 0.5 mm, in a fifth of the time."""
+CACHE_FOLDER_NAME = "cache"
+"""Folder of cached patches next to a run's results."""
 CLOSEUP_STAGE = "close-ups"
 """Name of the stage in which patches are rendered and described."""
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from hnf_core.action.contacts import find_contacts, plan_patches
+from hnf_core.action.contacts import Contacts
 from hnf_core.action.stroke_placement import sample_candidates, smooth_for_placement
 from hnf_core.errors import HnfError, pluralize
 from hnf_core.files import content_hash
@@ -30,12 +30,28 @@ from hnf_core.touch_request import TouchRequest
 
 from ..bridge.closeup import crop_to_patches, find_mesh_relief
 from ..bridge.cycles import MAX_READABLE_WAVELENGTH_M
-from ..bridge.scene.meshes import make_ray_caster
+from ..bridge.lit_render import is_lit
+from ..bridge.scene.meshes import Surface, make_ray_caster
 from ..bridge.scene.scene_names import find_object
 from ..bridge.shader.closures import ReliefSource
-from .bake_patches import PATCH_PIXELS
+from .bake_cost import (
+    IMAGE_CLOSEUP_SECONDS,
+    NO_WORK,
+    PATTERN_CLOSEUP_SECONDS,
+    PLACEMENT_SECONDS,
+    PLAIN_CLOSEUP_SECONDS,
+    PREDICTION_SECONDS,
+    SYNTHESIS_SECONDS,
+    TouchedPart,
+    Work,
+    estimate_pictures,
+    find_touched_parts,
+    measure_slowness,
+)
+from .bake_patches import CACHE_FOLDER_NAME, PATCH_PIXELS, compute_patch_key
 from .material_choice import CHOSEN_BY_ARTIST, format_own_relief_note, format_stated_note
-from .overview import MAX_STROKE_VIEWS, MIN_SHARING_STROKES
+from .overview import MAX_STROKE_VIEWS, MIN_SHARING_STROKES, choose_cameras, count_views
+from .patch_cache import has_patch
 from .report import REPORT_NAME, SCHEMA, Failed, Skipped, StrokeReport, add_option_hint
 from .session import GatheredJobs, Session, StrokeJob
 
@@ -252,12 +268,10 @@ def _forget_lost_picture(entry: StrokeReport, folder: Path) -> StrokeReport:
 
 RENDERS_PER_CLOSEUP = 2
 """Maximum number of renders of a close-up; see `CloseUpRenderer`."""
-PROCEDURAL_CLOSEUP_SECONDS, IMAGE_CLOSEUP_SECONDS = 0.7, 0.2
-"""Time of a close-up with all pixels, and of one for which the first pass nearly suffices [s]."""
-PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.1, 0.5, 0.4
-"""Rough times on two cores, for the estimate only [s]."""
 TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
-"""Assumed length of a stroke's path, and distance between patches [m]."""
+"""Assumed length of a stroke's path, and least distance between patches [m]."""
+TYPICAL_PATCHES = 5
+"""Number of patches of a placed stroke, mostly."""
 
 RERUN_MESSAGES = {
     RerunReason.UNFINISHED: "The baked .blend is not there, or the earlier run did not finish it",
@@ -284,7 +298,7 @@ class SlotPlan:
     why : str
         Reason for the route.
     seconds : float
-        Estimated time of one close-up [s].
+        Processor time of one close-up on the reference machine [s].
     unless : str
         Finding in the close-up that would make the route prior; "" for none.
     """
@@ -292,13 +306,13 @@ class SlotPlan:
     material: str
     route: Route
     why: str
-    seconds: float = PROCEDURAL_CLOSEUP_SECONDS
+    seconds: float = PATTERN_CLOSEUP_SECONDS
     unless: str = ""
 
 
 def estimate_closeup_seconds(slots: Iterable[SlotPlan]) -> float:
-    """Estimate the time of one close-up on any of these slots [s]."""
-    return max((slot.seconds for slot in slots), default=PROCEDURAL_CLOSEUP_SECONDS)
+    """Estimate the processor time of one close-up on any of these slots [s]."""
+    return max((slot.seconds for slot in slots), default=PATTERN_CLOSEUP_SECONDS)
 
 
 @dataclass(frozen=True)
@@ -315,6 +329,8 @@ class PlannedBake:
         Reason why it is not fresh.
     slots : tuple of SlotPlan
         Slots that it may touch.
+    work : Work
+        Estimated work of baking and synthesizing it, without close-ups that are cached or an earlier stroke's.
     """
 
     stroke: str
@@ -323,6 +339,7 @@ class PlannedBake:
     patches: int
     why: str
     slots: tuple[SlotPlan, ...] = ()
+    work: Work = NO_WORK
 
     @property
     def predictions(self) -> int:
@@ -384,6 +401,12 @@ class Plan:
         Reason why the .blend of an earlier run with fresh strokes is written again.
     with_pictures : bool
         False if no pictures are wanted.
+    views : int
+        Number of views in the pictures of the strokes to bake.
+    is_lit : bool
+        True if the scene has lights of its own, which take longer to render.
+    slowness : float
+        Time of a computation here over that on the reference machine.
     """
 
     needed: tuple[PlannedBake, ...]
@@ -395,6 +418,9 @@ class Plan:
     redrawn_pictures: int = 0
     again: RerunReason = RerunReason.NOTHING
     with_pictures: bool = True
+    views: int = 0
+    is_lit: bool = False
+    slowness: float = 1.0
 
     @property
     def pictures(self) -> int:
@@ -428,13 +454,22 @@ class Plan:
     @property
     def seconds(self) -> float:
         """Estimated time of the run [s]."""
-        closeup_seconds = sum(entry.patches * estimate_closeup_seconds(entry.slots) for entry in self.needed)
-        closeup_seconds += sum(
-            query.close_ups * estimate_closeup_seconds(() if query.slot is None else (query.slot,))
+        return self.work.estimate_seconds(self.slowness)
+
+    @property
+    def work(self) -> Work:
+        """Estimated work of the run."""
+        queries = sum(
+            query.close_ups
+            * (
+                estimate_closeup_seconds(() if query.slot is None else (query.slot,))
+                + PREDICTION_SECONDS * query.predictions
+            )
             for query in self.probes
         )
-        total_stroke_seconds = len(self.needed) * SYNTHESIS_SECONDS + self.pictures * PICTURE_SECONDS
-        return closeup_seconds + self.predictions * PREDICTION_SECONDS + total_stroke_seconds
+        views = self.views + self.redrawn_pictures if self.with_pictures else 0
+        drawing = estimate_pictures(self.pictures, views, is_lit=self.is_lit)
+        return sum((entry.work for entry in self.needed), Work(queries) + drawing)
 
     def as_json(self) -> str:
         """Return the plan as JSON."""
@@ -442,6 +477,7 @@ class Plan:
             "renders_at_most": self.renders,
             "predictions_at_most": self.predictions,
             "seconds": round(self.seconds, 1),
+            "processor_seconds": round(self.slowness * (self.work.rendering_s + self.work.single_s), 1),
         }
         keys = {"redrawn_pictures": "pictures"}
         record = {keys.get(name, name): value for name, value in asdict(self).items()}
@@ -494,7 +530,7 @@ class Plan:
 def _format_route(slot: SlotPlan, predictions: int) -> str:
     cost = ""
     if slot.route is Route.PREDICTED:
-        cost = f", at most {pluralize(predictions, 'close-up')}, {predictions * PREDICTION_SECONDS:.1f} s"
+        cost = f", at most {pluralize(predictions, 'close-up')}"
     unless = f"; prior if {slot.unless}" if slot.unless else ""
     return f"    {slot.material or 'no material'}: {slot.route.value} ({slot.why}{unless}){cost}"
 
@@ -526,20 +562,57 @@ def find_mesh_waves(session: Session, obj: Any, patches: Sequence[Patch]) -> dic
     return waves
 
 
-def _find_mesh_waves(session: Session, job: StrokeJob) -> dict[str, float]:
+def estimate_stroke(
+    session: Session, job: StrokeJob, parts: Sequence[TouchedPart], cache: Path | None, counted: set[str]
+) -> Work:
+    """Estimate the work of baking and synthesizing a job's stroke.
+
+    Parameters
+    ----------
+    session : Session
+        Session of the scene.
+    job : StrokeJob
+        The stroke.
+    parts : sequence of TouchedPart
+        Its parts (`find_touched_parts`).
+    cache : Path or None
+        Folder of cached patches, whose close-ups are not rendered again.
+    counted : set of str
+        Cache keys of the patches of other strokes; those of this one are added.
+
+    Returns
+    -------
+    Work
+    """
+    if not parts:
+        slots = plan_slots(session, job)
+        predicted = any(slot.route is Route.PREDICTED for slot in slots)
+        each = estimate_closeup_seconds(slots) + (PREDICTION_SECONDS if predicted else 0.0)
+        return Work(TYPICAL_PATCHES * each, SYNTHESIS_SECONDS + (PLACEMENT_SECONDS if job.stroke is None else 0.0))
+    seconds, material = 0.0, "" if job.stroke is None else job.stroke.material
+    for part in parts:
+        touched, slots = session.get_touched_object(part.obj), plan_object_slots(session, part.obj, material)
+        for patch in part.patches:
+            key = compute_patch_key(touched, patch, session.predictor)
+            if key in counted or (cache is not None and has_patch(cache, key)):
+                continue
+            counted.add(key)
+            own = slots[patch.slot : patch.slot + 1]
+            predicted = any(slot.route is Route.PREDICTED for slot in own)
+            seconds += estimate_closeup_seconds(own) + (PREDICTION_SECONDS if predicted else 0.0)
+    return Work(seconds, SYNTHESIS_SECONDS)
+
+
+def _find_mesh_waves(session: Session, job: StrokeJob, parts: Sequence[TouchedPart]) -> dict[str, float]:
     """Return `find_mesh_waves` under a job's stroke, or where it may be placed; {} if it cannot be read."""
     obj = find_object(session.scene, job.object_name)
     try:
-        mesh = session.get_surface(obj).mesh
         if job.stroke is not None:
-            contacts = find_contacts(job.stroke.samples, job.stroke.get_surface(mesh))
-            found = find_mesh_waves(session, obj, plan_patches(contacts)[0])
-            for crossed in job.stroke.crossed:
-                other = find_object(session.scene, crossed.name)
-                samples = crossed.move_samples(job.stroke.samples)
-                contacts = find_contacts(samples, session.get_surface(other).mesh)
-                found = {**find_mesh_waves(session, other, plan_patches(contacts)[0]), **found}
+            found: dict[str, float] = {}
+            for part in reversed(parts):
+                found |= find_mesh_waves(session, part.obj, part.patches)
             return found
+        mesh = session.get_surface(obj).mesh
         slots = sorted(set(mesh.slot.tolist())) if job.slot is None else [job.slot]
         patches: list[Patch] = []
         for slot in slots:
@@ -628,16 +701,16 @@ def _plan_slot(
     `evidence` is what a relief could be predicted from, and `direct_image` is true if its relief is read from images.
     """
     if relief_source is ReliefSource.RELIEF:
-        seconds = IMAGE_CLOSEUP_SECONDS if direct_image else PROCEDURAL_CLOSEUP_SECONDS
+        seconds = IMAGE_CLOSEUP_SECONDS if direct_image else PATTERN_CLOSEUP_SECONDS
         return SlotPlan(material, Route.MEASURED, "from the bump, normal or displacement in its shader", seconds)
     if relief_source is ReliefSource.VARYING_COLOUR and not chosen:
         if missing:
-            return SlotPlan(material, Route.PRIOR, missing)
-        return SlotPlan(material, Route.PREDICTED, evidence, unless=TOO_COARSE_NOTE)
+            return SlotPlan(material, Route.PRIOR, missing, IMAGE_CLOSEUP_SECONDS)
+        return SlotPlan(material, Route.PREDICTED, evidence, IMAGE_CLOSEUP_SECONDS, unless=TOO_COARSE_NOTE)
     if chosen:
         skipped = "; its picture is skipped" if relief_source is ReliefSource.VARYING_COLOUR else ""
-        return SlotPlan(material, Route.PRIOR, f"{CHOSEN_BY_ARTIST}{skipped}")
-    return SlotPlan(material, Route.PRIOR, "its shader has neither relief nor picture")
+        return SlotPlan(material, Route.PRIOR, f"{CHOSEN_BY_ARTIST}{skipped}", PLAIN_CLOSEUP_SECONDS)
+    return SlotPlan(material, Route.PRIOR, "its shader has neither relief nor picture", PLAIN_CLOSEUP_SECONDS)
 
 
 def describe_shader_reliefs(session: Session, gathered: GatheredJobs) -> list[str]:
@@ -664,7 +737,10 @@ def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, s
     `previous` is the earlier run in the output folder, `source` the hash of the scene's files.
     """
     needed, fresh = [], []
-    fresh_entries = previous.find_fresh(gathered.jobs, session.request.out)
+    out = session.request.out
+    fresh_entries, cache = previous.find_fresh(gathered.jobs, out), None if out is None else out / CACHE_FOLDER_NAME
+    counted: set[str] = set()
+    shown: list[tuple[str, Contacts, Surface, Any]] = []
     for job in gathered.jobs:
         if job.name in fresh_entries:
             fresh.append(UpToDate(job.name, job.object_name, fresh_entries[job.name].wav))
@@ -673,8 +749,11 @@ def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, s
         slots = session.get_facts(find_object(session.scene, job.object_name)).materials
         shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
         why = "changed since the last run" if previous.has_name(job.name) else "not baked yet"
-        routes = add_mesh_relief(plan_slots(session, job), _find_mesh_waves(session, job))
-        needed.append(PlannedBake(job.name, job.object_name, shader, estimate_max_patches(length), why, routes))
+        parts = find_touched_parts(session, job)
+        routes = add_mesh_relief(plan_slots(session, job), _find_mesh_waves(session, job, parts))
+        work = estimate_stroke(session, job, parts, cache, counted)
+        needed.append(PlannedBake(job.name, job.object_name, shader, estimate_max_patches(length), why, routes, work))
+        shown += [(job.name, part.contacts, session.get_surface(part.obj), part.obj) for part in parts[:1]]
     folder, rerun_reason = session.request.out, RerunReason.NOTHING
     if fresh and folder is not None:
         pictured = fresh_entries.values() if session.request.pictures else ()
@@ -689,6 +768,8 @@ def make_plan(session: Session, gathered: GatheredJobs, previous: PreviousRun, s
     return Plan(
         tuple(needed), tuple(fresh), tuple(gathered.skipped), tuple(gathered.failed), notes,
         redrawn_pictures=redrawn_pictures, again=rerun_reason, with_pictures=session.request.pictures,
+        views=len(needed) - len(shown) + count_views(choose_cameras(session.scene, session.metres_per_unit, shown)),
+        is_lit=is_lit(session.scene), slowness=measure_slowness(),
     )  # fmt: skip
 
 

@@ -223,21 +223,7 @@ class StrokeViews:
         list of StrokeCameras
             In the order of the strokes.
         """
-        chosen = [_make_own_camera(*stroke) for stroke in strokes]
-        camera = self._read_scene_camera()
-        in_frame = [
-            index
-            for index, stroke in enumerate(chosen)
-            if camera is not None and is_path_visible(camera, stroke.own.path)
-        ]
-        groups = group_strokes([(index, chosen[index]) for index in sorted({*range(len(chosen))} - {*in_frame})])
-        views = [(group, _make_shared_view([chosen[index] for index in group])) for group in groups]
-        if camera is not None and in_frame:
-            views.append((in_frame, replace(_make_shared_view([chosen[index] for index in in_frame]), camera=camera)))
-        for members, view in views:
-            for index in members:
-                chosen[index] = replace(chosen[index], shared=view)
-        return chosen
+        return choose_cameras(self._scene, self._metres, strokes)
 
     def hash_view(self, cameras: StrokeCameras) -> str:
         """Hash everything that a stroke's view may show; nothing is rendered."""
@@ -311,14 +297,39 @@ class StrokeViews:
     def _list_objects(self, camera_view: CameraView) -> list[Any]:
         return select_visible_objects(self._surroundings, camera_view.camera, camera_view.path, camera_view.touched)
 
-    def _read_scene_camera(self) -> Camera | None:
-        """Return the scene's camera at the plot's size; None without one, or without square pixels."""
-        if self._scene.camera is None or self._scene.camera.data.type not in {"PERSP", "ORTHO"}:
-            return None
-        camera = read_camera(self._scene, self._scene.camera, self._metres)
-        if abs(camera.intrinsics[0, 0] / camera.intrinsics[1, 1] - 1.0) > 1e-6:
-            return None
-        return resize_camera(camera, WIDTH)
+
+def choose_cameras(
+    scene: Any, metres_per_unit: float, strokes: Iterable[tuple[str, Contacts, Surface, Any]]
+) -> list[StrokeCameras]:
+    """Choose the cameras of all strokes of a scene, as `StrokeViews.choose_cameras` does."""
+    chosen = [_make_own_camera(*stroke) for stroke in strokes]
+    camera = _read_scene_camera(scene, metres_per_unit)
+    in_frame = [
+        index for index, stroke in enumerate(chosen) if camera is not None and is_path_visible(camera, stroke.own.path)
+    ]
+    groups = group_strokes([(index, chosen[index]) for index in sorted({*range(len(chosen))} - {*in_frame})])
+    views = [(group, _make_shared_view([chosen[index] for index in group])) for group in groups]
+    if camera is not None and in_frame:
+        views.append((in_frame, replace(_make_shared_view([chosen[index] for index in in_frame]), camera=camera)))
+    for members, view in views:
+        for index in members:
+            chosen[index] = replace(chosen[index], shared=view)
+    return chosen
+
+
+def count_views(cameras: Iterable[StrokeCameras]) -> int:
+    """Return the number of views that strokes are shown in, if nothing hides one."""
+    return len({id(each.shared or each) for each in cameras})
+
+
+def _read_scene_camera(scene: Any, metres_per_unit: float) -> Camera | None:
+    """Return the scene's camera at the plot's size; None without one, or without square pixels."""
+    if scene.camera is None or scene.camera.data.type not in {"PERSP", "ORTHO"}:
+        return None
+    camera = read_camera(scene, scene.camera, metres_per_unit)
+    if abs(camera.intrinsics[0, 0] / camera.intrinsics[1, 1] - 1.0) > 1e-6:
+        return None
+    return resize_camera(camera, WIDTH)
 
 
 def _make_own_camera(name: str, contacts: Contacts, surface: Surface, touched: Any) -> StrokeCameras:

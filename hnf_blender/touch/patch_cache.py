@@ -205,6 +205,11 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
     _save_arrays(folder / f"{key}.npz", arrays)
 
 
+def has_patch(folder: Path, key: str) -> bool:
+    """Return True if the record of a patch is stored under its cache key; it is not opened."""
+    return (folder / f"{key}.npz").is_file()
+
+
 def load_prediction(folder: Path, key: str) -> Prediction | None:
     """Load a patch's predicted tactile maps by their cache key; None if they are missing or damaged."""
     path = folder / f"{key}.npz"

@@ -35,6 +35,7 @@ from hnf_core.units import m_to_mm
 from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..bridge.stroke.read_stroke import list_strokes
 from .bake_patches import (
+    CACHE_FOLDER_NAME,
     CLOSEUP_STAGE,
     TouchedObject,
     bake_patches,
@@ -61,7 +62,7 @@ from .output_files import make_file_stem
 from .patch_cache import PatchRecord, load_patch
 from .report import Counts, Failed, Report, Skipped
 from .session import GatheredJobs, Session, resolve_target
-from .synthesise import CACHE_FOLDER_NAME, record_time
+from .synthesise import record_time
 
 NEAREST_COUNT = 5
 """Number of similar materials in a result."""

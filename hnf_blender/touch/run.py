@@ -26,6 +26,7 @@ from hnf_core.touch_request import TouchRequest
 from ..bridge.importers import open_scene
 from ..bridge.scene.object_size import get_metres_per_unit
 from ..bridge.scene.touchable import realise_instances
+from .bake_patches import CACHE_FOLDER_NAME
 from .bake_plan import (
     Plan,
     PreviousRun,
@@ -45,7 +46,7 @@ from .overview import StrokeCameras, StrokeViews
 from .query import add_queries, carry_over_strokes, format_query_line, run_queries, skip_strokes
 from .report import REPORT_NAME, Failed, Report, Skipped, StrokeReport, add_option_hint, format_lost_note
 from .session import GatheredJobs, Session, StrokeJob, gather_jobs
-from .synthesise import CACHE_FOLDER_NAME, bake_strokes, record_time, synthesise_stroke
+from .synthesise import bake_strokes, record_time, synthesise_stroke
 
 
 def print_summary(report: Report, request: TouchRequest) -> int:

@@ -404,8 +404,6 @@ def _extend_patch_index(index: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.asarray(index[touching[last]], dtype=np.int32)
 
 
-CACHE_FOLDER_NAME = "cache"
-"""Folder of cached patches next to a run's results."""
 OnStroke = Callable[[StrokeJob, BakedStroke, Callable[[str], None]], None]
 """Function that processes a baked stroke; it calls its third argument with the name of each stage before it begins."""
 BAKE_SHARE = 0.9

@@ -12,6 +12,7 @@ from touch_scene import line_stroke
 
 from hnf_blender.jobs.baked_data import make_plan
 from hnf_blender.state.session_state import STATE
+from hnf_blender.touch.bake_cost import PREDICTION_SECONDS, Work, measure_slowness
 from hnf_core.tactile.unet import DEFAULT_WEIGHTS
 
 pytestmark = pytest.mark.usefixtures("lone_bake")
@@ -44,6 +45,7 @@ def test_the_plan_lists_predicted_surfaces_and_their_time(tmp_path, monkeypatch)
     said = f"material '{PHOTO_PLATE}': no relief in its shader; one is estimated from its picture."
     assert said in [line.what for line in plan.lines if line.kind == "note"]
     assert said not in [line.what for line in without.lines]
-    assert plan.seconds == pytest.approx(without.seconds + 0.3)
+    seconds = Work(rendering_s=2 * PREDICTION_SECONDS).estimate_seconds(measure_slowness())
+    assert plan.seconds == pytest.approx(without.seconds + seconds)
     bpy.data.objects["Along"].hnf_stroke.material = "oak-wood"
     assert said not in [line.what for line in make_plan(scene, layer).lines]

@@ -61,7 +61,7 @@ def test_the_plan_says_which_route_and_what_it_costs(tmp_path, capsys) -> None:
     assert touch(scene, tmp_path / "out", "--plan")[0] == 0
     said = capsys.readouterr().out
     assert f"{PHOTO_PLATE}: predicted (no relief, but its color varies; prior if " in said
-    assert "below 1 mm, or one color), at most 3 close-ups, 0.3 s" in said
+    assert "below 1 mm, or one color), at most 3 close-ups" in said
     assert "Ridges: measured (from the bump, normal or displacement in its shader)" in said
     assert "Bare: prior (its shader has neither relief nor picture)" in said
     assert "In all at most 3 close-ups, 1 picture and 3 reliefs estimated from pictures, about " in said

@@ -30,10 +30,11 @@ from numpy.typing import NDArray
 from hnf_blender import cli
 from hnf_blender.touch import run as touch_run
 from hnf_blender.touch import synthesise as touch_synthesise
+from hnf_blender.touch.bake_patches import CACHE_FOLDER_NAME
 from hnf_blender.touch.baked_stroke import BakedStroke
 from hnf_blender.touch.patch_cache import PatchRecord
 from hnf_blender.touch.session import StrokeJob, gather_jobs
-from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME, make_stroke_input
+from hnf_blender.touch.synthesise import make_stroke_input
 from hnf_core.errors import HnfError, SceneError
 from hnf_core.export.figure import write_figure
 from hnf_core.field.synthesis import synthesise

@@ -179,8 +179,9 @@ def _bake(request: TouchRequest) -> list[BakedStroke]:
     """Bake the strokes of a request by the product's own steps; raise SceneError if one fails."""
     from hnf_blender import cli
     from hnf_blender.touch import run as touch_run
+    from hnf_blender.touch.bake_patches import CACHE_FOLDER_NAME
     from hnf_blender.touch.session import gather_jobs
-    from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME, bake_strokes
+    from hnf_blender.touch.synthesise import bake_strokes
 
     cli._register_properties()
     session, _ = touch_run._make_session(touch_run.open_named_scene("touch", request.scene), request)

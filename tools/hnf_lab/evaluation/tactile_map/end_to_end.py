@@ -191,8 +191,8 @@ def compare_octaves(levels_db: Float, reference_db: Float) -> float:
 
 def _read_predictions(out: Path) -> Float:
     """Return the mean levels of the predicted tokens' bands over a run's patches [dB]; NaN if none was predicted."""
+    from hnf_blender.touch.bake_patches import CACHE_FOLDER_NAME
     from hnf_blender.touch.patch_cache import load_prediction
-    from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME
 
     cache = out / CACHE_FOLDER_NAME
     found = [load_prediction(cache, path.stem) for path in sorted(cache.glob("*.npz"))]

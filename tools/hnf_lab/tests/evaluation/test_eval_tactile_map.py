@@ -417,8 +417,8 @@ class Product:
         self.runs.append(list(words))
         if self.code:
             return self.code, "note: a note\nhnf: the scene is damaged.\n"
+        from hnf_blender.touch.bake_patches import CACHE_FOLDER_NAME
         from hnf_blender.touch.patch_cache import Prediction, save_prediction
-        from hnf_blender.touch.synthesise import CACHE_FOLDER_NAME
 
         out, network = Path(words[words.index("--out") + 1]), words[-1]
         amplitude = 2.0 if self.predicts and network == DIFFUSION else 1.0
