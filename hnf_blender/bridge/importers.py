@@ -25,6 +25,7 @@ from hnf_core.scene.gltf_document import check_gltf, describe_unread, is_splat_d
 from hnf_core.scene.nerfstudio import OPENGL_CAMERA_AXES, NerfstudioFrame, read_model_transforms
 from hnf_core.scene.ply import check_faces, read_ply_header
 from hnf_core.scene.splats.splat_file import SPLAT_SUFFIXES, open_splat_file
+from hnf_core.scene.usd_crate import check_crate
 from hnf_core.tables import is_number
 
 from .scene.stored_data import show_vertex_colours
@@ -486,6 +487,8 @@ def check_scene_file(path: Path) -> str:
         check_gltf(path)
     elif suffix == ".ply":
         _check_ply(path)
+    elif suffix.startswith(".usd"):
+        check_crate(path)
     if suffix == ".stl" and not _is_stl(path, head):
         raise make_damaged_error(path, "it is no STL file, neither text nor binary")
     return suffix
@@ -540,16 +543,23 @@ def check_usd_meshes(path: Path) -> None:
 
     with suppress_output():
         try:
-            layer = Sdf.Layer.FindOrOpen(str(path))
+            layer = Sdf.Layer.Find(str(path))
+            if layer is None:
+                layer = Sdf.Layer.FindOrOpen(str(path))
+            else:  # someone still holds what the file was before
+                layer.Reload(True)
         except Tf.ErrorException as error:
             raise make_damaged_error(path, "it cannot be parsed") from error
         try:
             stage = Usd.Stage.Open(layer)
         except Tf.ErrorException:  # a file that it refers to cannot be parsed, which costs only what is in that
             return
-        prims = [*stage.Traverse(), *(prim for each in stage.GetPrototypes() for prim in Usd.PrimRange(each))]
-        for mesh in [UsdGeom.Mesh(prim) for prim in prims if prim.IsA(UsdGeom.Mesh)]:
-            _check_usd_mesh(path, mesh, Usd.TimeCode.EarliestTime())
+        try:
+            prims = [*stage.Traverse(), *(prim for each in stage.GetPrototypes() for prim in Usd.PrimRange(each))]
+            for mesh in [UsdGeom.Mesh(prim) for prim in prims if prim.IsA(UsdGeom.Mesh)]:
+                _check_usd_mesh(path, mesh, Usd.TimeCode.EarliestTime())
+        except Tf.ErrorException as error:
+            raise make_damaged_error(path, "a value in it cannot be read") from error
 
 
 def _check_usd_mesh(path: Path, mesh: Any, time: Any) -> None:

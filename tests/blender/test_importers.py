@@ -295,6 +295,15 @@ def test_a_layer_of_changes_alone_is_refused_as_such(tmp_path: Path, content: st
         open_scene(tmp_path / "look.usda")
 
 
+TENT = """#usda 1.0
+def Mesh "Tent" {
+    int[] faceVertexCounts = [3, 3, 3]
+    int[] faceVertexIndices = [0, 1, 2, 0, 3, 1, 1, 3, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+}
+"""
+
+
 @pytest.mark.skipif(not hasattr(bpy.utils, "expose_bundled_modules"), reason="Blender brings no USD library yet")
 @pytest.mark.parametrize(
     ("old", "new", "said"),
@@ -310,20 +319,59 @@ def test_a_layer_of_changes_alone_is_refused_as_such(tmp_path: Path, content: st
     ],
 )
 def test_a_usd_mesh_whose_faces_do_not_fit_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
-    text = """#usda 1.0
-def Mesh "Tent" {
-    int[] faceVertexCounts = [3, 3, 3]
-    int[] faceVertexIndices = [0, 1, 2, 0, 3, 1, 1, 3, 2]
-    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
-}
-"""
-    assert old in text
-    (tmp_path / "tent.usda").write_text(text.replace(old, new))
+    assert old in TENT
+    (tmp_path / "tent.usda").write_text(TENT.replace(old, new))
     if not said:
         assert len(open_scene(tmp_path / "tent.usda").objects["Tent"].data.polygons) == 3
         return
     with pytest.raises(FileError, match=said):
         open_scene(tmp_path / "tent.usda")
+
+
+@pytest.mark.parametrize(
+    ("what", "number", "said"),
+    [
+        ("table", 2**40, "its table of contents lies outside of it"),
+        ("table", -1, "its table of contents lies outside of it"),
+        ("sections", 300_000_000, "wants 300000000 sections, and has no place for them"),
+        ("start of TOKENS", 10**6, "its section 'TOKENS' lies outside of it"),
+        ("entries of TOKENS", 2**50, r"its section 'TOKENS' of \d+ bytes wants 1125899906842624 entries"),
+        ("entries of SPECS", 10**9, r"its section 'SPECS' of \d+ bytes wants 1000000000 entries"),
+        ("points", 10**9, "a value in it cannot be read"),
+    ],
+)
+def test_a_usdc_file_that_wants_too_much_is_refused(ball_files, tmp_path, what: str, number: int, said: str) -> None:
+    data = bytearray((ball_files / "ball.usdc").read_bytes())
+    (table,) = struct.unpack_from("<q", data, 16)
+    verb, _, section = what.rpartition(" of ")
+    entry = data.index(section.encode() + b"\0", table) if verb else 0
+    places = {
+        "table": 16,
+        "sections": table,
+        "start": entry + 16,
+        "entries": struct.unpack_from("<q", data, entry + 16)[0],
+        "points": data.index(struct.pack("<Q", 24 * 11 + 2)),
+    }
+    struct.pack_into("<q", data, places[verb or what], number)
+    (tmp_path / "ball.usdc").write_bytes(data)
+    if what == "points" and not hasattr(bpy.utils, "expose_bundled_modules"):
+        pytest.skip("Blender brings no USD library yet")
+    with pytest.raises(FileError, match=said):
+        open_scene(tmp_path / "ball.usdc")
+
+
+@pytest.mark.skipif(not hasattr(bpy.utils, "expose_bundled_modules"), reason="Blender brings no USD library yet")
+def test_a_usd_file_that_changed_is_read_anew(tmp_path: Path) -> None:
+    bpy.utils.expose_bundled_modules()
+    from pxr import Sdf
+
+    path = tmp_path / "tent.usda"
+    path.write_text(TENT)
+    held = Sdf.Layer.FindOrOpen(str(path))
+    path.write_text(TENT.replace("[3, 3, 3]", "[3, 3, 4]"))
+    with pytest.raises(FileError, match="want 10 corners"):
+        open_scene(path)
+    assert held
 
 
 def test_a_usd_file_that_refers_to_a_broken_one_shows_the_rest(ball_files: Path, tmp_path: Path) -> None:
