@@ -22,10 +22,29 @@ from hnf_core.errors import HnfError
 if TYPE_CHECKING:
     from hnf_core.export.touched_surface import TouchedSurface
 
+SUPERVISED = (["touch"], ["views"], ["export"])
+"""First words of the commands that open a file in Blender."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code; `argv` excludes the program's name."""
-    return run_command_line(sys.argv[1:] if argv is None else argv, run_touch, run_export, run_views)
+    """Run one command and return its exit code.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Words of the command, without the program's name; None means those of this process, whose only work this then
+        is: what opens a file in Blender is supervised.
+
+    Returns
+    -------
+    int
+    """
+    words = sys.argv[1:] if argv is None else argv
+    if argv is None and words[:1] in SUPERVISED:
+        from .supervisor import run_supervised
+
+        return run_supervised(lambda: run_command_line(words, run_touch, run_export, run_views))
+    return run_command_line(words, run_touch, run_export, run_views)
 
 
 def run_touch(arguments: argparse.Namespace) -> int:

@@ -28,6 +28,7 @@ from hnf_core.scene.splats.splat_file import SPLAT_SUFFIXES, open_splat_file
 from hnf_core.scene.usd_crate import check_crate
 from hnf_core.tables import is_number
 
+from ..supervisor import announce_read
 from .scene.stored_data import show_vertex_colours
 from .scene.temp_scene import suppress_output
 from .shader.images import is_grey, make_data_image
@@ -391,7 +392,8 @@ def open_scene(
     path = Path(path).absolute()
     suffix = check_scene_file(path)
     if suffix == ".blend":
-        _run_operator(path, lambda: bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False))
+        with announce_read(path):
+            _run_operator(path, lambda: bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False))
         scene = bpy.context.scene
         if not any(obj.type in TOUCHABLE_TYPES for obj in scene.objects):
             raise SceneError(
@@ -407,10 +409,11 @@ def open_scene(
     if is_splat_file(path, suffix):
         return _open_splats(path, cache, progress, write_cache)
     importer = _find_importer(suffix, path)
-    if suffix.startswith(".usd"):
-        check_usd_meshes(path)
-    open_empty_scene()
-    _run_operator(path, lambda: importer(filepath=str(path)))
+    with announce_read(path):
+        if suffix.startswith(".usd"):
+            check_usd_meshes(path)
+        open_empty_scene()
+        _run_operator(path, lambda: importer(filepath=str(path)))
     scene = bpy.context.scene
     _check_import(scene, path)
     if suffix in {".ply", ".obj"}:

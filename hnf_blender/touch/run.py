@@ -26,6 +26,7 @@ from hnf_core.touch_request import TouchRequest
 from ..bridge.importers import open_scene
 from ..bridge.scene.object_size import get_metres_per_unit
 from ..bridge.scene.touchable import realise_instances
+from ..supervisor import is_supervised
 from .bake_patches import CACHE_FOLDER_NAME
 from .bake_plan import (
     Plan,
@@ -450,6 +451,9 @@ def _draw_pictures(
 @contextlib.contextmanager
 def _interruptible() -> Iterator[None]:
     """Let Ctrl-C stop the run and keep what is finished; Blender ignores it in background mode."""
+    if is_supervised():
+        yield
+        return
     try:
         before = signal.signal(signal.SIGINT, signal.default_int_handler)
     except ValueError:  # not the main thread, where signals cannot be handled

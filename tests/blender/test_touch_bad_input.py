@@ -412,13 +412,15 @@ def test_stopping_half_way_keeps_what_is_finished(tmp_path) -> None:
     for number in range(STROKES):
         line_stroke(f"Scrape {number}", centre=(0, -0.04 + 0.01 * number, 0))
     scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
-    words = ["touch", str(scene), "--out", str(out)]
-    program = f"import sys; from hnf_blender.cli import main; sys.exit(main({words!r}))"
-    run = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
+    program = "import sys; from hnf_blender.cli import main; sys.exit(main())"
+    run = subprocess.Popen(
+        [sys.executable, "-c", program, "touch", str(scene), "--out", str(out)],
+        cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
+    )  # fmt: skip
     deadline = time.monotonic() + 120
     while not finished_in(out) and run.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
-    os.kill(run.pid, signal.SIGINT)
+    os.killpg(run.pid, signal.SIGINT)  # as a terminal does
     _, errors = run.communicate(timeout=120)
     assert run.returncode == 1, errors.decode()
     finished = finished_in(out)
