@@ -2,7 +2,7 @@
 
 A mutation flips bits, cuts, repeats, and puts numbers and JSON values where others stood. A reader may read what comes
 out or raise an HnfError; anything else is a fault: another exception, a hang, a message that shows an exception's text.
-Scene files are opened by Blender in a process of its own, which may die.
+Scene files are opened by Blender in a process of its own, which may die: what `hnf touch` then answers counts.
 """
 
 from __future__ import annotations
@@ -100,6 +100,8 @@ class Tally:
     faults : list of Fault
     slowest_s : float
         Longest time of a read [s].
+    notes : list of Fault
+        Mutations with which a process ended that opened many, and what `hnf touch` answers to each by itself.
     """
 
     kind: str
@@ -107,6 +109,14 @@ class Tally:
     refused: int = 0
     faults: list[Fault] = field(default_factory=list)
     slowest_s: float = 0.0
+    notes: list[Fault] = field(default_factory=list)
+
+    def add(self, number: int, outcome: str) -> None:
+        """Count a mutation whose outcome is "read", "refused" or a fault in words."""
+        if outcome in ("read", "refused"):
+            setattr(self, outcome, getattr(self, outcome) + 1)
+        else:
+            self.faults.append(Fault(self.kind, number, outcome))
 
     @property
     def count(self) -> int:
@@ -418,6 +428,11 @@ def describe_fault(error: BaseException | None, seconds: float) -> str:
     return ""
 
 
+def describe_outcome(error: BaseException | None, seconds: float) -> str:
+    """Return "read", "refused", or what is wrong with how a read ended."""
+    return describe_fault(error, seconds) or ("read" if error is None else "refused")
+
+
 def fuzz_readers(
     kinds: Sequence[str], count: int, seed: int, progress: ProgressCallback = ignore_progress
 ) -> list[Tally]:
@@ -452,14 +467,8 @@ def _time_read(reader: Reader, path: Path) -> tuple[BaseException | None, float]
 
 
 def _add(tally: Tally, number: int, error: BaseException | None, seconds: float) -> None:
-    what = describe_fault(error, seconds)
     tally.slowest_s = max(tally.slowest_s, seconds)
-    if what:
-        tally.faults.append(Fault(tally.kind, number, what))
-    elif error is None:
-        tally.read += 1
-    else:
-        tally.refused += 1
+    tally.add(number, describe_outcome(error, seconds))
 
 
 class _alarm:  # noqa: N801
@@ -479,40 +488,69 @@ class _alarm:  # noqa: N801
 def fuzz_scenes(
     kinds: Sequence[str], count: int, seed: int, progress: ProgressCallback = ignore_progress
 ) -> list[Tally]:
-    """Open `count` mutations of each kind of scene in Blender, some in each process; return a tally for each."""
+    """Open `count` mutations of each kind of scene in Blender, some in each process; return a tally for each.
+
+    On a file with which the process ended, `hnf touch` is run by itself, and its answer counts.
+    """
     tallies = []
     for index, kind in enumerate(kinds):
         tally, first = Tally(kind), 0
         while first < count:
             progress(Progress(kind, index * count + first, len(kinds) * count))
-            last = min(first + SCENES_PER_PROCESS, count)
-            order = [sys.executable, "-c", _CHILD, kind, str(seed), str(first), str(last)]
-            done = subprocess.run(order, capture_output=True, text=True, errors="replace", timeout=3600, check=False)
-            lines = done.stdout.split("\n")
-            answers = [json.loads(line.removeprefix(ANSWER)) for line in lines if line.startswith(ANSWER)]
-            for number, outcome, seconds in answers:
-                tally.slowest_s = max(tally.slowest_s, seconds)
-                if outcome in ("read", "refused"):
-                    setattr(tally, outcome, getattr(tally, outcome) + 1)
-                else:
-                    tally.faults.append(Fault(kind, number, outcome))
-            first += len(answers)
-            if first < last:  # the process died on the next one
-                said = done.stderr.strip().splitlines()
-                why = f"the process ended with {done.returncode}" + (f": {said[-1]}" if said else "")
-                if READY not in lines:
-                    remedy = "Check that bpy is installed, in a version that reads this kind."
-                    raise FileError(f"{why}.", where=f"a scene of kind '{kind}'", remedy=remedy)
-                if any(line.startswith("Timeout (") for line in said):
-                    why = f"it took more than {MAX_SCENE_S:g} s in Blender"
-                tally.faults.append(Fault(kind, first, why))
-                first += 1
+            with tempfile.TemporaryDirectory() as folder:
+                first = _open_some(tally, Path(folder), seed, first, min(first + SCENES_PER_PROCESS, count))
         tallies.append(tally)
     return tallies
 
 
-def open_mutated_scenes(kind: str, seed: int, first: int, last: int) -> None:
-    """Open mutations of a ball, which Blender writes first, and print one line of JSON for each."""
+def _open_some(tally: Tally, folder: Path, seed: int, first: int, last: int) -> int:
+    """Open mutations in a process until it ends, and add them to the tally; return the number of the next one."""
+    order = [sys.executable, "-c", _CHILD, str(folder), tally.kind, *map(str, (seed, first, last))]
+    done = subprocess.run(order, capture_output=True, text=True, errors="replace", timeout=3600, check=False)
+    lines = done.stdout.split("\n")
+    answers = [json.loads(line.removeprefix(ANSWER)) for line in lines if line.startswith(ANSWER)]
+    for number, outcome, seconds in answers:
+        tally.slowest_s = max(tally.slowest_s, seconds)
+        tally.add(number, outcome)
+    first += len(answers)
+    if first == last:
+        return last
+    said = done.stderr.strip().splitlines()  # the process died on the next one
+    why = f"the process ended with {done.returncode}" + (f": {said[-1]}" if said else "")
+    if READY not in lines:
+        remedy = "Check that bpy is installed, in a version that reads this kind."
+        raise FileError(f"{why}.", where=f"a scene of kind '{tally.kind}'", remedy=remedy)
+    if any(line.startswith("Timeout (") for line in said):
+        tally.add(first, f"it took more than {MAX_SCENE_S:g} s in Blender")
+    else:
+        outcome = touch_alone(folder / f"ball.{tally.kind}")
+        tally.add(first, outcome)
+        tally.notes.append(Fault(tally.kind, first, f"{why}; by itself: {outcome}"))
+    return first + 1
+
+
+def touch_alone(path: Path) -> str:
+    """Run `hnf touch --plan` on a scene; return "read", "refused", or what is wrong with how it ended."""
+    order = [sys.executable, "-c", _TOUCH, "touch", str(path), "--plan"]
+    try:
+        done = subprocess.run(order, capture_output=True, text=True, errors="replace", timeout=MAX_SCENE_S, check=False)
+    except subprocess.TimeoutExpired:
+        return f"hnf touch took more than {MAX_SCENE_S:g} s"
+    lines = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith("note: ")]
+    if done.returncode in (0, 1) and done.stdout and not lines:
+        return "read"
+    if (
+        done.returncode == 1
+        and len(lines) == 1
+        and lines[0].startswith(f"hnf: {path}: ")
+        and not RAW_TEXT.search(lines[0])
+    ):
+        return "refused"
+    return f"hnf touch ended with {done.returncode}: {done.stderr.strip()}"
+
+
+def open_mutated_scenes(folder: Path, kind: str, seed: int, first: int, last: int) -> None:
+    """Open mutations of a ball, which Blender writes to a folder first, and print one line of JSON for each."""
     import faulthandler
 
     import bpy
@@ -522,8 +560,8 @@ def open_mutated_scenes(kind: str, seed: int, first: int, last: int) -> None:
     from hnf_blender.bridge.scene.temp_scene import suppress_output
 
     props.register()
-    with tempfile.TemporaryDirectory() as name, _alarm():
-        path = Path(name) / f"ball.{kind}"
+    path = folder / f"ball.{kind}"
+    with _alarm():
         open_empty_scene()
         with suppress_output():
             bpy.ops.mesh.primitive_uv_sphere_add(segments=8, ring_count=6, radius=0.05)
@@ -536,8 +574,7 @@ def open_mutated_scenes(kind: str, seed: int, first: int, last: int) -> None:
             faulthandler.dump_traceback_later(MAX_SCENE_S, exit=True)
             error, seconds = _time_read(lambda path: open_scene(path), path)
             faulthandler.cancel_dump_traceback_later()
-            outcome = describe_fault(error, seconds) or ("read" if error is None else "refused")
-            print(ANSWER + json.dumps([number, outcome, seconds]), flush=True)
+            print(ANSWER + json.dumps([number, describe_outcome(error, seconds), seconds]), flush=True)
 
 
 def _export(path: Path) -> None:
@@ -560,9 +597,10 @@ def _export(path: Path) -> None:
 
 
 _CHILD = (
-    "import sys; from hnf_lab.evaluation.fuzz import open_mutated_scenes; kind, *numbers = sys.argv[1:]; "
-    "open_mutated_scenes(kind, *map(int, numbers))"
+    "import sys; from pathlib import Path; from hnf_lab.evaluation.fuzz import open_mutated_scenes; "
+    "folder, kind, *numbers = sys.argv[1:]; open_mutated_scenes(Path(folder), kind, *map(int, numbers))"
 )
+_TOUCH = "import sys; from hnf_blender.cli import main; sys.exit(main())"
 
 
 def format_tallies(tallies: Sequence[Tally], seed: int) -> str:
@@ -572,7 +610,7 @@ def format_tallies(tallies: Sequence[Tally], seed: int) -> str:
         f"| {each.kind} | {each.count} | {each.read} | {each.refused} | {len(each.faults)} | {each.slowest_s:.2f} s |"
         for each in tallies
     ]
-    faults = [fault for each in tallies for fault in each.faults]
+    faults = [fault for each in tallies for fault in (*each.faults, *each.notes)]
     alike = Counter((fault.kind, _strip_numbers(fault.what)) for fault in faults)
     for (kind, what), count in alike.most_common():
         first = next(fault for fault in faults if (fault.kind, _strip_numbers(fault.what)) == (kind, what))

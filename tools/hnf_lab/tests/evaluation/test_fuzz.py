@@ -156,7 +156,7 @@ def test_collada_is_named_as_a_kind_of_older_versions(capsys) -> None:
 
 def test_a_process_that_dies_costs_one_file(monkeypatch) -> None:
     dying = (
-        "import os, sys, json; kind, seed, first, last = sys.argv[1], *map(int, sys.argv[2:])\n"
+        "import os, sys, json; first, last = map(int, sys.argv[4:])\n"
         "print('hnf: ready', flush=True)\n"
         "for number in range(first, last):\n"
         "    if number == 2: os._exit(7)\n"
@@ -164,9 +164,36 @@ def test_a_process_that_dies_costs_one_file(monkeypatch) -> None:
     )
     monkeypatch.setattr(fuzz, "_CHILD", dying)
     monkeypatch.setattr(fuzz, "SCENES_PER_PROCESS", 4)
+    monkeypatch.setattr(fuzz, "touch_alone", lambda path: path.name)
     (tally,) = fuzz.fuzz_scenes(["obj"], 5, seed=0)
     assert tally.refused == 4
-    assert [(fault.number, fault.what) for fault in tally.faults] == [(2, "the process ended with 7")]
+    assert [(fault.number, fault.what) for fault in tally.faults] == [(2, "ball.obj")]
+    assert [note.what for note in tally.notes] == ["the process ended with 7; by itself: ball.obj"]
     monkeypatch.setattr(fuzz, "_CHILD", "raise SystemExit('no bpy')")
     with pytest.raises(FileError, match="no bpy"):
         fuzz.fuzz_scenes(["obj"], 5, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("program", "outcome"),
+    [
+        ("print('plan')", "read"),
+        ("print('plan'); sys.exit(1)", "read"),
+        ("sys.exit(f'hnf: {path}: is damaged. Export it again.')", "refused"),
+        ("print('note: slow', file=sys.stderr); sys.exit(f'hnf: {path}: is damaged. Export it again.')", "refused"),
+        ("sys.exit(f'hnf: {path}: is damaged (IndexError). Export it again.')", "ended with 1"),
+        ("sys.exit('hnf: is damaged. Export it again.')", "ended with 1"),
+        ("os.kill(os.getpid(), 11)", "ended with -11"),
+        ("time.sleep(60)", "took more than 0.5 s"),
+    ],
+)
+def test_the_answer_of_the_command_is_judged(program: str, outcome: str, monkeypatch) -> None:
+    monkeypatch.setattr(fuzz, "_TOUCH", f"import os, sys, time; path = sys.argv[2]; {program}")
+    monkeypatch.setattr(fuzz, "MAX_SCENE_S", 0.5 if "sleep" in program else 60.0)
+    answer = fuzz.touch_alone(Path("ball.obj"))
+    assert outcome == answer if outcome in ("read", "refused") else outcome in answer
+
+
+def test_the_command_is_run_as_at_a_shell(tmp_path) -> None:
+    pytest.importorskip("bpy")
+    assert fuzz.touch_alone(tmp_path / "gone.obj") == "refused"
