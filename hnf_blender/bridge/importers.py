@@ -565,18 +565,25 @@ def check_usd_meshes(path: Path) -> None:
             raise make_damaged_error(path, "a value in it cannot be read") from error
 
 
-def _check_usd_mesh(path: Path, mesh: Any, time: Any) -> None:
-    attributes = mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr(), mesh.GetPointsAttr()
-    counts, corners, points = (np.asarray([] if (found := each.Get(time)) is None else found) for each in attributes)
-    name = mesh.GetPrim().GetName()
-    wanted = int(counts.sum(dtype=np.int64))
-    if counts.min(initial=0) < 0 or wanted != len(corners):
-        raise make_damaged_error(
-            path, f"the faces of mesh '{name}' want {wanted} corners, and {len(corners)} are there"
-        )
-    # Without any points Blender makes a mesh without any.
-    if corners.min(initial=0) < 0 or (len(points) and corners.max(initial=-1) >= len(points)):
-        raise make_damaged_error(path, f"a face of mesh '{name}' names a point that is not among its {len(points)}")
+def _check_usd_mesh(path: Path, mesh: Any, earliest: Any) -> None:
+    """Check one mesh at each of its time samples, since Blender reads an animated one anew at every frame."""
+    counts, corners, points = attributes = (
+        mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr(), mesh.GetPointsAttr(),
+    )  # fmt: skip
+    times = sorted({time for each in attributes for time in each.GetTimeSamples()}) or [earliest]
+    is_fixed = not (counts.ValueMightBeTimeVarying() or corners.ValueMightBeTimeVarying())
+    for time in times:
+        name = f"'{mesh.GetPrim().GetName()}'" + (f" at frame {time:g}" if len(times) > 1 else "")
+        if time is times[0] or not is_fixed:
+            sizes, ends = (np.asarray([] if (found := each.Get(time)) is None else found) for each in (counts, corners))
+            wanted, first, last = int(sizes.sum(dtype=np.int64)), ends.min(initial=0), ends.max(initial=-1)
+            if sizes.min(initial=0) < 0 or wanted != len(ends):
+                raise make_damaged_error(
+                    path, f"the faces of mesh {name} want {wanted} corners, and {len(ends)} are there"
+                )
+        there = 0 if (found := points.Get(time)) is None else len(found)
+        if first < 0 or (there and last >= there):  # without any points Blender makes a mesh without any
+            raise make_damaged_error(path, f"a face of mesh {name} names a point that is not among its {there}")
 
 
 def _find_importer(suffix: str, path: Path) -> Callable[..., Any]:

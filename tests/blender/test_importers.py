@@ -328,6 +328,36 @@ def test_a_usd_mesh_whose_faces_do_not_fit_is_refused(tmp_path: Path, old: str, 
         open_scene(tmp_path / "tent.usda")
 
 
+@pytest.mark.skipif(not hasattr(bpy.utils, "expose_bundled_modules"), reason="Blender brings no USD library yet")
+@pytest.mark.parametrize(
+    ("points", "corners", "said"),
+    [
+        ("(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 2)", "3, 1", ""),
+        ("(0, 0, 0), (1, 0, 0), (0, 1, 0)", "3, 1", "'Tent' at frame 5 names a point that is not among its 3"),
+        (
+            "(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 2)",
+            "4, 1",
+            "'Tent' at frame 3 names a point that is not among its 4",
+        ),
+        ("(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 2)", "3", "'Tent' at frame 3 want 9 corners, and 8 are there"),
+    ],
+)
+def test_an_animated_usd_mesh_is_checked_at_every_frame(tmp_path: Path, points: str, corners: str, said: str) -> None:
+    still = "point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]"
+    moving = still.replace("points = ", "points.timeSamples = {1: ") + f", 5: [{points}]}}"
+    faces = "int[] faceVertexIndices = [0, 1, 2, 0, 3, 1, 1, 3, 2]"
+    changing = faces.replace("Indices = ", "Indices.timeSamples = {1: ") + f", 3: [0, 1, 2, 0, {corners}, 1, 3, 2]}}"
+    assert still in TENT
+    assert faces in TENT
+    text = TENT.replace(still, moving).replace(faces, changing)
+    (tmp_path / "tent.usda").write_text(text.replace("#usda 1.0", "#usda 1.0\n(startTimeCode = 1\nendTimeCode = 5)"))
+    if not said:
+        assert len(open_scene(tmp_path / "tent.usda").objects["Tent"].data.polygons) == 3
+        return
+    with pytest.raises(FileError, match=said):
+        open_scene(tmp_path / "tent.usda")
+
+
 @pytest.mark.parametrize(
     ("what", "number", "said"),
     [
