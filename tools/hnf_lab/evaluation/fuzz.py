@@ -63,6 +63,9 @@ OLD_SCENE_KINDS = ("dae",)
 SCENES_PER_PROCESS = 50
 MAX_SCENE_S = 60.0
 """Longest time [s] after which a process is ended that is busy in Blender, where no timer of Python's interrupts it."""
+MAX_COMMAND_S = 600.0
+"""Longest time [s] of the command by itself, Blender's start and a busy machine included; a read that hangs was found
+before."""
 READY, ANSWER = "hnf: ready", "hnf: answer "
 """Lines that a process prints which opens scenes: before the first, and before each answer."""
 
@@ -533,9 +536,11 @@ def touch_alone(path: Path) -> str:
     """Run `hnf touch --plan` on a scene; return "read", "refused", or what is wrong with how it ended."""
     order = [sys.executable, "-c", _TOUCH, "touch", str(path), "--plan"]
     try:
-        done = subprocess.run(order, capture_output=True, text=True, errors="replace", timeout=MAX_SCENE_S, check=False)
+        done = subprocess.run(
+            order, capture_output=True, text=True, errors="replace", timeout=MAX_COMMAND_S, check=False
+        )
     except subprocess.TimeoutExpired:
-        return f"hnf touch took more than {MAX_SCENE_S:g} s"
+        return f"hnf touch took more than {MAX_COMMAND_S:g} s"
     lines = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith("note: ")]
     if done.returncode in (0, 1) and done.stdout and not lines:
         return "read"

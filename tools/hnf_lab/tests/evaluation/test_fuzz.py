@@ -189,7 +189,7 @@ def test_a_process_that_dies_costs_one_file(monkeypatch) -> None:
 )
 def test_the_answer_of_the_command_is_judged(program: str, outcome: str, monkeypatch) -> None:
     monkeypatch.setattr(fuzz, "_TOUCH", f"import os, sys, time; path = sys.argv[2]; {program}")
-    monkeypatch.setattr(fuzz, "MAX_SCENE_S", 0.5 if "sleep" in program else 60.0)
+    monkeypatch.setattr(fuzz, "MAX_COMMAND_S", 0.5 if "sleep" in program else 60.0)
     answer = fuzz.touch_alone(Path("ball.obj"))
     assert outcome == answer if outcome in ("read", "refused") else outcome in answer
 
