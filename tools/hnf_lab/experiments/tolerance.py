@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hnf_core.action.primitive_path import make_primitive_action
 from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.field.field import Field, evaluate
-from hnf_core.field.prepare import prepare_stroke
+from hnf_core.field.prepare import make_line_course, prepare_stroke
 from hnf_core.field.render import render_block, render_contact
 from hnf_core.field.render_weights import render_weights
 from hnf_core.field.stroke import (
@@ -35,7 +35,7 @@ from hnf_core.field.stroke import (
 from hnf_core.field.synthesis import tolerance_warning
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import load_library
-from reference.literal_synthesis import carriers_at
+from reference.literal_synthesis import carriers_at, tones_at
 
 Float = NDArray[np.float64]
 
@@ -68,22 +68,28 @@ class ErrorResult:
 
 
 def compute_literal_texture(field: Field, stroke: StrokeInput, waves: Float) -> Float:
-    """Compute the texture term of a stroke by the literal model. waves: its carriers, (count, K)."""
+    """Compute the texture term of a stroke by the literal model, tones included. waves: its carriers, (count, K)."""
     action, token_index = resample_action(stroke)
     config, lag = field.config, field.config.stride * SAMPLES_PER_STATE
+    lines = make_line_course(field, stroke, action, token_index, SEED)
+    token_lines = None if lines is None else lines.lines
     sample = np.arange(-lag * config.states, len(waves))
     emissions = [
-        evaluate(field, interpolate_condition(stroke, action, token_index, at)) for at in split_samples(sample)
+        evaluate(field, interpolate_condition(stroke, action, token_index, at, None, token_lines))
+        for at in split_samples(sample)
     ]
     alpha = np.concatenate([emission.alpha[:, 0] for emission in emissions])
     sigma_dt = np.concatenate([emission.sigma_dt for emission in emissions])
     alpha[sample < 0] = 0.0
     past = lag * config.states + np.arange(len(waves))[:, None] - lag * np.arange(config.states)
     weights = render_weights(sigma_dt[past, np.arange(config.states)])
-    total = np.zeros_like(waves)
+    total = np.zeros((len(waves), alpha.shape[1]))
     for state in range(config.states):
         total += weights[:, state, None] * alpha[past[:, state]]
-    return np.asarray(np.einsum("nk,nk->n", total, waves))
+    texture = np.einsum("nk,nk->n", total[:, : config.carriers.count], waves)
+    if lines is not None:
+        texture += tones_at(lines, action, total[:, config.carriers.count :], np.arange(len(waves)))
+    return np.asarray(texture)
 
 
 def split_samples(sample: NDArray[np.int64]) -> list[NDArray[np.int64]]:
