@@ -74,7 +74,7 @@ from .shader.aov_taps import (
     find_texel_grid,
     measure_image_step,
 )
-from .shader.bump_displacement import MicroGeometry, Relief, Slopes, judge_normal_colour
+from .shader.bump_displacement import MicroGeometry, Relief, Slopes, has_flipped_green, judge_normal_colour
 from .shader.closures import Layers, average_appearance, list_closures, mix_closures, read_shading_value
 
 Mask = NDArray[np.bool_]
@@ -791,18 +791,3 @@ def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int, fa
         # A factor of 0 also drops what is no number.
         total = total - (slope if factor is None else np.where(factor == 0.0, 0.0, slope * factor))
     return total
-
-
-def has_flipped_green(gx: Float, gy: Float, mask: Mask) -> bool:
-    """Return True if slopes `gx`, `gy` (H, W) fit a surface far better with `gy` negated.
-
-    This detects normal maps of the DirectX convention. A height field has no curl, ∂(∂h/∂x)/∂y = ∂(∂h/∂y)/∂x, so the
-    sign with less curl under `mask` is the right one; y points against the rows.
-    """
-    inner = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
-    along_y = -(gx[2:, 1:-1] - gx[:-2, 1:-1])[inner]
-    along_x = (gy[1:-1, 2:] - gy[1:-1, :-2])[inner]
-    if along_x.size == 0:
-        return False
-    right, flipped = np.mean((along_y - along_x) ** 2), np.mean((along_y + along_x) ** 2)
-    return bool(flipped < 0.25 * right)

@@ -19,7 +19,8 @@ from closeup_builders import (
 )
 
 from hnf_blender.bridge import closeup as closeup_module
-from hnf_blender.bridge.closeup import flood_fill, has_flipped_green
+from hnf_blender.bridge.closeup import flood_fill
+from hnf_blender.bridge.shader.bump_displacement import has_flipped_green
 from hnf_core.errors import SceneError
 
 
