@@ -95,8 +95,7 @@ def find_connected_pixels(candidates: Mask, depth: NDArray[np.floating[Any]], pi
     rows, columns = candidates.shape
     reached = np.zeros_like(candidates)
     middle = (slice(rows // 2 - 1, rows // 2 + 1), slice(columns // 2 - 1, columns // 2 + 1))
-    at_centre = candidates[middle] & (np.abs(depth[middle] - CAMERA_DISTANCE_M) <= CAMERA_DISTANCE_M / 4.0)
-    reached[middle] = at_centre
+    reached[middle] = candidates[middle] & (np.abs(depth[middle] - CAMERA_DISTANCE_M) <= CAMERA_DISTANCE_M / 4.0)
     return flood_fill(reached, right, down)
 
 
@@ -368,16 +367,9 @@ class CloseUpRenderer:
                 names = {tap.name for tap in slot.taps}
                 passes = {name: decimate(passes[name], sampling.factor) for name in names & passes.keys()}
         rendered = _RenderedPatch(
-            patch,
-            camera,
-            cast,
-            scene.surface.mesh,
-            passes,
-            slot,
-            scene.isolated,
-            self._metres_per_unit,
+            patch, camera, cast, scene.surface.mesh, passes, slot, scene.isolated, self._metres_per_unit,
             sampling.folded_m,
-        )
+        )  # fmt: skip
         mask = _mask_patch_surface(rendered, scene.surface)
         if sampling.factor > 1 and not mask.all():
             mask = erode(mask, FILTER_REACH)  # where the filter reaches beyond the surface
@@ -501,12 +493,8 @@ def _build_closeup(masked: _MaskedPatch, surface: Surface) -> CloseUp:
     )
     shape = mask.shape
     albedo = np.zeros((*shape, 3), np.float32) if rgb is None else np.broadcast_to(rgb, (*shape, 3)).astype(np.float32)
-    view = RgbdView(
-        camera=rendered.camera,
-        rgb=np.where((rendered.cast.triangle >= 0)[..., None], albedo, np.float32(0.0)),
-        depth=rendered.cast.depth.astype(np.float32),
-        face_id=rendered.cast.face_id,
-    )
+    seen = np.where((rendered.cast.triangle >= 0)[..., None], albedo, np.float32(0.0))
+    view = RgbdView(rendered.camera, seen, rendered.cast.depth.astype(np.float32), rendered.cast.face_id)
     return CloseUp(
         patch=rendered.patch,
         view=view,
