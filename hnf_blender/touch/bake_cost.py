@@ -19,7 +19,7 @@ from .session import Session, StrokeJob
 
 REFERENCE_SECONDS = 20e-3
 """Time that the computation of `measure_slowness` took where the times below were measured [s]."""
-PATTERN_CLOSEUP_SECONDS, IMAGE_CLOSEUP_SECONDS, PLAIN_CLOSEUP_SECONDS = 0.55, 0.07, 0.03
+PATTERN_CLOSEUP_SECONDS, IMAGE_CLOSEUP_SECONDS, PLAIN_CLOSEUP_SECONDS = 0.5, 0.07, 0.03
 """Processor time of a close-up with all pixels, of one whose first pass nearly suffices, and of one without detail."""
 PREDICTION_SECONDS = 0.33
 """Processor time of a relief that D_φ predicts."""
