@@ -44,9 +44,12 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system can
 
 def start(body: str) -> subprocess.Popen[str]:
     words = [sys.executable, "-c", PROGRAM.format(body)]
+    # With it Python itself would print a traceback first.
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONFAULTHANDLER"}
     return subprocess.Popen(
-        words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+        words, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
