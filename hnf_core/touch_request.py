@@ -107,7 +107,7 @@ class TouchRequest:
     sensor : str
         Touch sensor whose images tactile maps are, a name in `tactile.optics.SENSORS`.
     tactile_map : str
-        Network D_φ that predicts tactile maps: a word of `tactile.diffusion.weights.SHIPPED_WEIGHTS`, or a file; "" for
+        Network D_φ that predicts tactile maps: a word of `tactile.unet.SHIPPED_WEIGHTS`, or a file; "" for
         the default.
     pictures : bool
         Draw a picture of each stroke.

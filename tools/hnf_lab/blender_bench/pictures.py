@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_tools.bench_strokes import make_scrape
-from hnf_core.export.plots.stroke_figure import StrokeView, write_stroke_figure
+from hnf_core.export.stroke_figure import StrokeView, write_stroke_figure
 from hnf_core.field import synthesis
 from hnf_core.field.weights import load_field
 from hnf_core.scene.camera import Camera
@@ -97,7 +97,7 @@ def _add_comparison(
 
 
 def _make_camera(quick: bool) -> Camera:
-    from hnf_blender.bridge.render.cycles import make_overview_camera
+    from hnf_blender.bridge.cycles import make_overview_camera
     from hnf_blender.touch.overview import HEIGHT, WIDTH, resize_camera
 
     ends = [[-STROKE_M / 2.0, 0.0, 0.0], [STROKE_M / 2.0, 0.0, 0.0]]
@@ -106,14 +106,14 @@ def _make_camera(quick: bool) -> Camera:
 
 
 def _render_view(scene: Any, plate: Any, camera: Camera, method: ViewMethod) -> NDArray[np.float32]:
-    from hnf_blender.bridge.render.lit_render import OverviewRenderer
+    from hnf_blender.bridge.lit_render import OverviewRenderer
 
     with OverviewRenderer(scene, samples=method.samples, relief=method.relief) as overviews:
         return overviews.render_view(camera, [plate])[0].rgb
 
 
 def _render_reference(scene: Any, plate: Any, camera: Camera, quick: bool) -> NDArray[np.float32]:
-    from hnf_blender.bridge.render.lit_render import OverviewRenderer
+    from hnf_blender.bridge.lit_render import OverviewRenderer
 
     samples = QUICK_REFERENCE_SAMPLES if quick else REFERENCE_SAMPLES
     with OverviewRenderer(scene, samples=samples) as overviews:
