@@ -31,7 +31,7 @@ from ..alignment.train import STATISTICS_RECIPE, AlignedEncoders, Recipe, fit_en
 from .alignment import StatisticsCache
 
 HELD_OUT_PERIOD = 8
-"""Of so many consecutive pieces of a class the first two are held out."""
+"""Number of consecutive pieces of a class of which the first two are held out."""
 
 
 @dataclass(frozen=True)
