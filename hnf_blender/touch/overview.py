@@ -301,7 +301,7 @@ class StrokeViews:
 def choose_cameras(
     scene: Any, metres_per_unit: float, strokes: Iterable[tuple[str, Contacts, Surface, Any]]
 ) -> list[StrokeCameras]:
-    """Choose the cameras of all strokes of a scene, as `StrokeViews.choose_cameras` does."""
+    """Choose the cameras of all strokes of a scene, each with its name, contacts, surface and touched object."""
     chosen = [_make_own_camera(*stroke) for stroke in strokes]
     camera = _read_scene_camera(scene, metres_per_unit)
     in_frame = [

@@ -63,9 +63,8 @@ OLD_SCENE_KINDS = ("dae",)
 SCENES_PER_PROCESS = 50
 MAX_SCENE_S = 60.0
 """Longest time [s] after which a process is ended that is busy in Blender, where no timer of Python's interrupts it."""
-MAX_COMMAND_S = 600.0
-"""Longest time [s] of the command by itself, Blender's start and a busy machine included; a read that hangs was found
-before."""
+MAX_COMMAND_S = 60.0
+"""Longest time of the command by itself, Blender's start included [s]."""
 READY, ANSWER = "hnf: ready", "hnf: answer "
 """Lines that a process prints which opens scenes: before the first, and before each answer."""
 
