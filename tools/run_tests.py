@@ -63,16 +63,16 @@ BLENDER_INDEPENDENT = (
     "test_batch_touch", "test_touch_words", "test_jobs_choices", "test_repository", "test_docs_reference",
     "test_example_scene",
 )  # fmt: skip
-# Long tests of networks, counted work and numbers, for which Blender 5.0 is enough; `make demo` runs on it alone.
+# Long tests of networks, counted work and numbers, for which Blender 5.0 is enough.
 MAIN_ONLY = (
     "test_predicted_route", "test_probe_predicted", "test_touch_predicted", "test_jobs_predicted", "test_stress",
     "test_lazy", "test_learn", "test_touch_again", "test_touch_bad_input", "test_touch_certainty",
-    "test_touch_own_field", "test_demo_scene", *BLENDER_INDEPENDENT,
+    "test_touch_own_field", *BLENDER_INDEPENDENT,
 )  # fmt: skip
 # Long tests on which Blender 4.2 and 5.0 agree; test_jobs runs the main job, and `make test-app` a later Blender still.
 NOT_ON_NEWEST = (
     "test_real_scenes", "test_touch", "test_probe", "test_extension", "test_preview_export", "test_cache_truth",
-    "test_splats_touch", "test_actuator*", "test_modal_job", "test_namesakes",
+    "test_splats_touch", "test_demo_scene", "test_actuator*", "test_modal_job", "test_namesakes",
     "test_doubtful_relief", "test_placement", *MAIN_ONLY,
 )  # fmt: skip
 # What calls Blender's API most; the rest of it runs on the versions before and after.
