@@ -19,8 +19,8 @@ from ..state.labels import format_bytes
 from ..state.session_state import STATE, PlanLine, PlanView, suppress_change_tracking
 from ..touch.bake_cost import Work, find_touched_parts, measure_slowness
 from ..touch.bake_plan import describe_stated_heights, estimate_stroke, plan_slots
+from ..touch.bake_status import Freshness, StrokeStatus
 from ..touch.bake_storage import check_hidden, check_validity, clear_bake, count_stored_bytes, has_tokens
-from ..touch.report import Freshness, StrokeStatus
 from ..touch.session import GatheredJobs, Session, StrokeJob, add_scene_notes, gather_curve_jobs, make_scene_session
 from ..translations import tr
 from .bake_process import get_process

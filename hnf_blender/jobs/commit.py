@@ -14,8 +14,8 @@ from ..bridge.scene.scene_names import get_named_objects, get_scene_name
 from ..bridge.scene.stored_data import FaceTokens, write_tokens
 from ..bridge.splat_cloud import get_cloud, require_writable, write_point_tokens
 from ..state.session_state import STATE, suppress_change_tracking
+from ..touch.bake_status import Freshness
 from ..touch.bake_storage import ignore_rounding, make_status, save_bake
-from ..touch.report import Freshness
 from ..touch.session import InputHashes, Session, make_scene_session
 from ..touch.stroke_bake import StrokeBake
 from .request import BakedFile, JobResult, Rejection, TokenFile, unpack_tokens

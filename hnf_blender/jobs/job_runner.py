@@ -21,9 +21,10 @@ from hnf_core.touch_request import TouchQuery
 from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..bridge.scene.temp_scene import suppress_output
 from ..bridge.stroke.read_stroke import list_strokes
+from ..touch.bake_status import Freshness
 from ..touch.bake_storage import check_validity, find_shared_sources, group_by_mesh, has_tokens, make_face_tokens
 from ..touch.baked_stroke import BakedStroke
-from ..touch.report import Freshness, Report
+from ..touch.report import Report
 from ..touch.session import Session, StrokeJob, gather_curve_jobs, make_scene_session
 from ..touch.stroke_bake import make_stroke_bake
 from ..touch.synthesise import bake_strokes, synthesise_stroke

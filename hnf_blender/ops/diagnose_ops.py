@@ -15,7 +15,6 @@ import bpy
 import numpy
 
 from hnf_core import __version__
-from hnf_core.diagnostics import describe_field, describe_kernel, get_version
 from hnf_core.errors import HnfError
 
 from .. import compat
@@ -44,6 +43,7 @@ def collect_diagnosis() -> tuple[tuple[str, str], ...]:
 
     Reads weights and folders, never raises.
     """
+    from hnf_core.diagnostics import describe_field, describe_kernel, get_version
     from hnf_core.material.token import ENCODER_ID
 
     cache = get_cache_folder()

@@ -14,7 +14,7 @@ from ..preview.preview_state import PREVIEW, get_preview_icon
 from ..props.scene_settings import get_active_stroke
 from ..state.interface import redraw_tab
 from ..state.session_state import STATE
-from ..touch.report import Freshness
+from ..touch.bake_status import Freshness
 from ..translations import tr
 from .context import fail_poll, report_errors
 from .stroke_ops import poll_active_stroke

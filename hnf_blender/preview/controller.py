@@ -16,7 +16,7 @@ from ..actuator.sound import Player, Sound
 from ..props.scene_settings import get_actuator_profile
 from ..state.addon_settings import finish_guide
 from ..state.session_state import STATE
-from ..touch.report import Freshness
+from ..touch.bake_status import Freshness
 from ..translations import tr
 from .preview_state import PREVIEW, PreviewFacts
 from .sound_device import OfflinePlayer, Speakers, compute_clipping_db

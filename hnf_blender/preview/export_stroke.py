@@ -22,7 +22,7 @@ from hnf_core.signal import Signal
 from ..bridge.scene.scene_names import find_object, get_scene_name
 from ..props.scene_settings import CHOICE_BY_NAME, get_actuator_profile
 from ..state.session_state import STATE
-from ..touch.report import Freshness
+from ..touch.bake_status import Freshness
 from ..translations import tr
 from .preview_state import PREVIEW
 from .sound_device import compute_monitor_gain

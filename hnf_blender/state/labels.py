@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from ..touch.report import Freshness, StrokeStatus
+from ..touch.bake_status import Freshness, StrokeStatus
 from ..translations import tr
 from .session_state import JobStatus, PlanLine, PlanView
 

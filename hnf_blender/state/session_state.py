@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..bridge.scene.scene_names import get_scene_name
 from ..props.object_cache import ChangeCache
-from ..touch.report import StrokeStatus
+from ..touch.bake_status import StrokeStatus
 
 if TYPE_CHECKING:
     from hnf_core.material.ranking import Suggestion

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from ..bridge.scene.object_size import is_visible
 from ..bridge.scene.scene_names import SceneNames, find_object
 from ..props.scene_settings import list_cached_strokes
-from ..touch.report import Freshness, StrokeStatus
+from ..touch.bake_status import Freshness, StrokeStatus
 from ..translations import tr
 from .session_state import STATE, suppress_change_tracking
 

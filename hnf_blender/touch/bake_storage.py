@@ -30,8 +30,8 @@ from ..bridge.stroke.read_stroke import hash_touch, trace_path
 from ..props.scene_settings import find_index
 from ..translations import tr
 from .bake_patches import TouchedObject, get_encoder_name
+from .bake_status import Freshness, StrokeStatus
 from .baked_stroke import BakedStroke
-from .report import Freshness, StrokeStatus
 from .session import InputHashes, Session, StrokeJob, SurfaceFacts
 from .stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
 

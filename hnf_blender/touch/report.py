@@ -1,4 +1,4 @@
-"""Contents of report.json, what was made, skipped or failed, and why; and the status of a stroke's stored bake.
+"""Contents of report.json: what was made, skipped or failed, and why.
 
 Notes that refer to the Touch tab are completed with the command-line option of the same effect.
 """
@@ -9,9 +9,8 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from enum import Enum
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from hnf_core.files import escape_surrogates, write_text
 from hnf_core.progress import add_work
@@ -231,56 +230,3 @@ def add_option_hint(note: str) -> str:
     """Append to a note the command-line option that has the effect of the setting it mentions, if there is one."""
     options = [option for location, option in OPTION_FOR_TAB_PLACE.items() if location in note]
     return f"{note} Here: {', '.join(options)}." if options else note
-
-
-class Freshness(Enum):
-    """State of a stroke's stored bake.
-
-    UNKNOWN: not checked since the last change. UNBAKED: there is none. FRESH: still valid. FORCE: only force, seed or
-    probe changed, which needs no bake. STALE: path, timing, surface or material changed; it must be baked again.
-    BROKEN: the stroke cannot be read.
-    """
-
-    UNKNOWN = "unknown"
-    UNBAKED = "unbaked"
-    FRESH = "fresh"
-    FORCE = "force"
-    STALE = "stale"
-    BROKEN = "broken"
-
-
-class StrokeStatus(NamedTuple):
-    """State of a stroke's stored bake, as the panels show it.
-
-    Attributes
-    ----------
-    freshness : Freshness
-    why : str
-        Reason, one sentence for the user.
-    duration_s : float
-        Duration of the baked stroke [s].
-    object_name, library_material, routes : str
-        Facts of the bake.
-    confidence : float
-        Confidence of the bake, 0 to 1.
-    warnings : tuple of str
-        Warnings and notes of the bake.
-    shader : str
-        Blender material that the stroke touches most.
-    doubted_shaders : tuple of str
-        Blender materials whose relief has the height of the library material, since its own is not believed.
-    likely : str
-        What the material could be, with probabilities; "" if one alone is felt.
-    """
-
-    freshness: Freshness
-    why: str = ""
-    duration_s: float = 0.0
-    object_name: str = ""
-    library_material: str = ""
-    routes: str = ""
-    confidence: float = 0.0
-    warnings: tuple[str, ...] = ()
-    shader: str = ""
-    doubted_shaders: tuple[str, ...] = ()
-    likely: str = ""

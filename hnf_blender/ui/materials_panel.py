@@ -19,7 +19,7 @@ from ..state.labels import (
     format_stiffness,
 )
 from ..state.session_state import STATE, get_shown_name
-from ..touch.report import StrokeStatus
+from ..touch.bake_status import StrokeStatus
 from ..translations import tr
 from .layout import (
     PopoverPanel,

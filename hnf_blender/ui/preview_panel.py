@@ -12,7 +12,7 @@ from ..preview.preview_state import PREVIEW, PreviewFacts, get_preview_facts, ge
 from ..props.scene_settings import CHOICE_BY_NAME, get_active_stroke, get_shown_profile, list_cached_strokes
 from ..state.labels import describe_freshness, describe_status, format_counts
 from ..state.session_state import STATE
-from ..touch.report import Freshness
+from ..touch.bake_status import Freshness
 from ..translations import tr
 from .layout import (
     PopoverPanel,

@@ -19,7 +19,7 @@ from ..props.scene_settings import find_index, find_namesake, get_active_stroke,
 from ..registration import add_handlers, remove_handlers
 from ..state.labels import describe_freshness, put_surface_first
 from ..state.session_state import STATE
-from ..touch.report import StrokeStatus
+from ..touch.bake_status import StrokeStatus
 from ..translations import tr
 from .layout import (
     TouchPanel,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Sequence
-from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -174,7 +173,7 @@ def _repeat_steps(words: str, steps: list[Step], count: int, gap_s: float | None
     first = steps[0]
     counted = len(steps) == 1 and not (first.repeats or first.duration_s or gap_s) and "repeats" in ALLOWED[first.kind]
     if count > 1 and counted:
-        return [replace(first, repeats=count)]
+        return [first._replace(repeats=count)]
     return [*steps, *[*[Step("pause", duration_s=gap_s)] * bool(gap_s), *steps] * (count - 1)]
 
 
@@ -334,21 +333,21 @@ class _ParsedStep:
             self.found["duration"] = (LONG_S if size[0] == LARGE else BRIEF_S), size[1]
         if self.get("apart") and kind in ("tap", "drum"):
             self.record("rate", float(f"{1 / self.get('apart'):.9g}"), self.found.pop("apart")[1])
-        names = [field.name for field in fields(Step) if field.name not in ("kind", "angle_deg")]
+        names = [name for name in Step._fields if name not in ("kind", "angle_deg")]
         step = Step(kind, angle, **{name: self.get(re.sub("_(m|hz|s)$", "", name)) for name in names})
         self._check(step)
         if self.get("again") or ("loop" in self.said and same):
             if same is None:
                 raise self.refuse("'again' has nothing to repeat", "Say the stroke first.")
-            step = replace(step, **{name: getattr(same, name) for name in names if getattr(step, name) is None},
-                           angle_deg=same.angle_deg if angle is None else angle)  # fmt: skip
+            said_before = {name: getattr(same, name) for name in names if getattr(step, name) is None}
+            step = step._replace(**said_before, angle_deg=same.angle_deg if angle is None else angle)
         gap_s, each = self.said.get("between"), bool(step.repeats and step.duration_s and self._has_each())
         if gap_s and not step.repeats:
             raise self.refuse("the pause lies between nothing", "Say how often: tap 3 times with 1 s between.")
         if gap_s or (each and kind == "press"):
-            whole = replace(step, repeats=None)
+            whole = step._replace(repeats=None)
             return _repeat_steps(self.words, [whole], step.repeats or 1, gap_s)
-        return [replace(step, duration_s=(step.duration_s or 0.0) * (step.repeats or 1)) if each else step]
+        return [step._replace(duration_s=(step.duration_s or 0.0) * (step.repeats or 1)) if each else step]
 
     def _has_each(self) -> bool:
         """Return whether the duration is that of each repeat: "2 s each", "of one second each", "three 2 s presses"."""

@@ -7,7 +7,6 @@ and the command line list primitives.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -50,8 +49,7 @@ STILL = frozenset({"press", "tap", "drum", "pause", "lift"})
 """Kinds that do not slide."""
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """One motion of a stroke in words; None is what was not said, and follows from the rest (`primitive_path.py`).
 
     Attributes

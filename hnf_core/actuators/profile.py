@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import FileError, UsageError
-from ..files import write_bytes
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from .limits import Limits
     from .measure.frequency_response import FrequencyResponse
 
@@ -187,6 +187,8 @@ def write_profile(path: Path, profile: ActuatorProfile) -> None:
     FileError
         If the file cannot be written.
     """
+    from ..files import write_bytes
+
     record = {"schema": SCHEMA} | asdict(profile)
     if profile.response is not None:
         columns = {name: np.round(getattr(profile.response, name), DECIMALS).tolist() for name in _COLUMNS}

@@ -16,7 +16,7 @@ from touch_scene import line_stroke, ridge_plate
 
 from hnf_blender.jobs import bake_job, job_runner
 from hnf_blender.state.session_state import STATE
-from hnf_blender.touch.report import Freshness
+from hnf_blender.touch.bake_status import Freshness
 from hnf_blender.touch.session import make_scene_session
 
 FRESH, STALE = Freshness.FRESH, Freshness.STALE

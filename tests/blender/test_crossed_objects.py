@@ -16,7 +16,7 @@ from touch_scene import touch_without_pictures as touch
 from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import refresh_status
-from hnf_blender.touch.report import Freshness
+from hnf_blender.touch.bake_status import Freshness
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_core.field.stroke import SAMPLES_PER_STATE
 

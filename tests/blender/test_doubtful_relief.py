@@ -21,7 +21,7 @@ from hnf_blender.preview.stroke_image import ImageStyle
 from hnf_blender.preview.synthesis_thread import RenderCache, read_current_bake, synthesise_preview
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import refresh_status
-from hnf_blender.touch.report import Freshness
+from hnf_blender.touch.bake_status import Freshness
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_blender.ui.materials_panel import is_height_doubted
 from hnf_core.progress import count_work
@@ -130,8 +130,8 @@ def test_a_probe_s_answer_doubts_like_a_stroke(tmp_path):
 
 def test_the_panel_offers_to_insist_only_where_it_matters(tmp_path, monkeypatch):
     from hnf_blender.state.session_state import STATE
+    from hnf_blender.touch.bake_status import Freshness
     from hnf_blender.touch.bake_storage import make_status
-    from hnf_blender.touch.report import Freshness
 
     material = bump_material("Old", wavelength=2e-3, height=1.0, distance=1.0)
     plate(material)

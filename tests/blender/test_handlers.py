@@ -15,7 +15,7 @@ from hnf_blender.props.scene_settings import has_strokes, list_cached_strokes, l
 from hnf_blender.state import interface, status_tracker
 from hnf_blender.state.session_state import STATE, suppress_change_tracking
 from hnf_blender.state.status_tracker import EVERYTHING, FEW_NAMES, refresh_status
-from hnf_blender.touch.report import Freshness, StrokeStatus
+from hnf_blender.touch.bake_status import Freshness, StrokeStatus
 
 
 @pytest.fixture(autouse=True)

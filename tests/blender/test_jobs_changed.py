@@ -13,7 +13,7 @@ from hnf_blender.jobs.child_job import remove_job_folder
 from hnf_blender.jobs.commit import commit_steps
 from hnf_blender.jobs.job_runner import run_job
 from hnf_blender.state.session_state import STATE
-from hnf_blender.touch.report import Freshness
+from hnf_blender.touch.bake_status import Freshness
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_core.errors import HnfError
 

@@ -9,9 +9,9 @@ from job_scene import PLATE, kept, small_scene
 from touch_scene import save_scene, touch
 
 from hnf_blender.state.session_state import STATE
+from hnf_blender.touch.bake_status import Freshness
 from hnf_blender.touch.material_choice import merge_relief
 from hnf_blender.touch.patch_cache import PatchRecord
-from hnf_blender.touch.report import Freshness
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_core.material.fuse import merge_tokens
 from hnf_core.material.library import Appearance, load_library

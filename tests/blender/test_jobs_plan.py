@@ -10,8 +10,8 @@ from touch_scene import save_scene
 
 from hnf_blender.bridge.scene.stored_data import count_token_bytes
 from hnf_blender.state.session_state import STATE
+from hnf_blender.touch.bake_status import Freshness
 from hnf_blender.touch.bake_storage import count_stored_bytes
-from hnf_blender.touch.report import Freshness
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ from hnf_blender.ops.context import get_surface_in_layer
 from hnf_blender.props.object_cache import CHANGES
 from hnf_blender.state import status_tracker
 from hnf_blender.state.session_state import STATE, get_shown_name
-from hnf_blender.touch.report import Freshness, StrokeStatus
+from hnf_blender.touch.bake_status import Freshness, StrokeStatus
 
 FEW, MANY = 2, 12
 

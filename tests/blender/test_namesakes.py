@@ -13,7 +13,7 @@ from hnf_blender.bridge.scene.scene_names import find_object, get_named_objects,
 from hnf_blender.jobs import bake_job, baked_data
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import refresh_status
-from hnf_blender.touch.report import Freshness
+from hnf_blender.touch.bake_status import Freshness
 from hnf_blender.touch.session import gather_jobs, make_scene_session, resolve_target
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_blender.ui import strokes_panel

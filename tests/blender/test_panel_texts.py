@@ -6,7 +6,7 @@ import pytest
 
 from hnf_blender.state import labels
 from hnf_blender.state.session_state import JobStatus
-from hnf_blender.touch.report import Freshness, StrokeStatus
+from hnf_blender.touch.bake_status import Freshness, StrokeStatus
 from hnf_blender.ui.materials_panel import group_equal_bakes
 
 LONG = "A stroke along the very long seam of the left armrest"

@@ -22,7 +22,7 @@ from hnf_blender.registration import collect_classes
 from hnf_blender.state import labels
 from hnf_blender.state.addon_settings import Settings, finish_guide, get_settings
 from hnf_blender.state.session_state import STATE, JobStatus, LastJob, PlanLine, PlanView
-from hnf_blender.touch.report import Freshness, StrokeStatus
+from hnf_blender.touch.bake_status import Freshness, StrokeStatus
 from hnf_blender.ui import strokes_panel
 from hnf_core.action.primitives import PRIMITIVES
 

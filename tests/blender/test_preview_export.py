@@ -13,7 +13,7 @@ from hnf_blender.preview.preview_state import PREVIEW
 from hnf_blender.preview.strips_and_speakers import ID_PROPERTY, find_linked_strips, mark_linked
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import refresh_status
-from hnf_blender.touch.report import Freshness
+from hnf_blender.touch.bake_status import Freshness
 
 
 def exported(tmp_path) -> dict[str, bytes]:

@@ -17,7 +17,7 @@ from hnf_blender.bridge.scene.stored_data import delete_property, get_property, 
 from hnf_blender.preview.synthesis_thread import read_current_bake
 from hnf_blender.props.material_settings import DEFINITION_PROPERTY
 from hnf_blender.state.session_state import STATE
-from hnf_blender.touch.report import Freshness
+from hnf_blender.touch.bake_status import Freshness
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY, load_bake
 from hnf_core.material.hnf_file import from_library
 from hnf_core.material.library import get_material

@@ -10,7 +10,7 @@ from hnf_blender.jobs import bake_job, baked_data
 from hnf_blender.jobs.baked_data import purge
 from hnf_blender.state import status_tracker
 from hnf_blender.state.session_state import STATE
-from hnf_blender.touch.report import Freshness
+from hnf_blender.touch.bake_status import Freshness
 from hnf_blender.ui.scene_panel import format_counts
 
 

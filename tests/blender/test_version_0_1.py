@@ -14,7 +14,7 @@ from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_blender.cli import main
 from hnf_blender.state.session_state import STATE
 from hnf_blender.state.status_tracker import refresh_status
-from hnf_blender.touch.report import Freshness
+from hnf_blender.touch.bake_status import Freshness
 from hnf_core.export.wav import read_wav
 
 FILES = Path(__file__).resolve().parents[1] / "fixtures" / "version-0.1"

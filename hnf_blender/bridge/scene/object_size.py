@@ -8,15 +8,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from ctypes import c_float
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hnf_core.errors import SceneError
 from hnf_core.progress import add_work
 
-Float = NDArray[np.float64]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float = NDArray[np.float64]
 
 NEIGHBOUR_DISTANCE_M = 0.25
 """Distance up to which an object counts as a neighbor that may be in a hand's way [m]."""

@@ -17,13 +17,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hnf_core.errors import SceneError
 
 from ... import compat
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from hnf_core.material.palette import Palette
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,16 +43,16 @@ def read_reading(text: str) -> tuple[Step, ...]:
         for name, value in (each.split("=") for each in said):
             if name in LEVELS:
                 first, *last = (LEVELS[name].get(each) or float(each) for each in value.split("->"))
-                step = replace(step, **{name: first}, **{f"end_{name}": each for each in last})
+                step = step._replace(**{name: first}, **{f"end_{name}": each for each in last})
             elif name == "direction" and value in ("in", "out"):
-                step = replace(step, inwards=value == "in")
+                step = step._replace(inwards=value == "in")
             elif name == "direction":
-                step = replace(step, angle_deg=float(DIRECTIONS.get(value, value)))
+                step = step._replace(angle_deg=float(DIRECTIONS.get(value, value)))
             elif name == "turn":
-                step = replace(step, clockwise=value == "clockwise")
+                step = step._replace(clockwise=value == "clockwise")
             else:
                 number = int(value) if name == "repeats" else float(value)
-                step = replace(step, **{FIELDS.get(name, name): number})
+                step = step._replace(**{FIELDS.get(name, name): number})
         steps.append(step)
     return tuple(steps)
 
@@ -181,7 +180,7 @@ def test_any_steps_are_named_and_done_as_said(steps) -> None:
 @settings(max_examples=100, deadline=None)
 @given(any_steps())
 def test_durations_add_up(steps) -> None:
-    steps = [replace(step, duration_s=step.duration_s or 3.0) for step in steps]
+    steps = [step._replace(duration_s=step.duration_s or 3.0) for step in steps]
     _, primitive = try_to_do(steps)
     kinds = ["", *(step.kind for step in steps)]
     # The hand takes a moment to lift where a step in contact meets one that begins in the air.
