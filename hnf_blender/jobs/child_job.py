@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from hnf_core.child_process import CORE_FOLDER
-from hnf_core.dataclass_json import encode_json, load_json, parse_record
 from hnf_core.errors import FileError, HnfError
+from hnf_core.json_io import encode_json, load_json, parse_record
 
 from ..state.session_state import STATE, LastJob
 

@@ -15,12 +15,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hnf_core.dataclass_json import encode_json
 from hnf_core.datasets.registry import LICENCES
 from hnf_core.diagnostics import MIN_TRAINING_PYTHON, TRAINING_PACKAGES
 from hnf_core.errors import FileError, HnfError
 from hnf_core.field.weights import build_learned_material, load_material_field
 from hnf_core.files import content_hash
+from hnf_core.json_io import encode_json
 from hnf_core.material.hnf_file import HNF_SUFFIX, MaterialFile, write_hnf
 from hnf_core.training.learn import STAGE_TRAINING, LearnRequest
 

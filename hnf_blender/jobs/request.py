@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hnf_core.dataclass_json import encode_json
 from hnf_core.errors import FileError
 from hnf_core.files import NPZ_ERRORS, read_npz, write_text
+from hnf_core.json_io import encode_json
 from hnf_core.material.palette import Palette
 
 from ..bridge.scene.stored_data import FaceTokens, PointTokens

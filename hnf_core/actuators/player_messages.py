@@ -10,8 +10,8 @@ import json
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from ..dataclass_json import encode_json, load_json, parse_record
 from ..errors import UsageError
+from ..json_io import encode_json, load_json, parse_record
 
 VERSION = 1
 """Version of these messages."""

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileError
+from ..json_io import JsonReader, read_json, write_json
 from ..signal import Signal
 from .envelope import (
     EMPHASIS_DURATION_S,
@@ -40,7 +41,6 @@ from .envelope import (
     separate_equal_times,
 )
 from .haptic import DROPPED
-from .json_reader import JsonReader, read_json, write_json
 from .options import ExportOptions, ImportOptions
 from .provenance import (
     SOFTWARE,

@@ -26,6 +26,7 @@ import numpy as np
 from ..datasets.data_files import parse_xml
 from ..errors import FileError
 from ..files import refuse_pointer, write_bytes
+from ..json_io import MAX_JSON_BYTES, JsonReader, read_json, read_limited_bytes, write_json
 from ..signal import Signal
 from .envelope import (
     MAX_FREQUENCY_ERROR,
@@ -40,7 +41,6 @@ from .envelope import (
     select_control_points,
     separate_equal_times,
 )
-from .json_reader import MAX_JSON_BYTES, JsonReader, read_json, read_limited_bytes, write_json
 from .options import ExportOptions, ImportOptions
 from .provenance import (
     EnvelopeFile,

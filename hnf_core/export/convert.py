@@ -16,13 +16,13 @@ import numpy as np
 from ..errors import FileError
 from ..field.resampling import MAX_RATE_HZ
 from ..files import suggest_other_path
+from ..json_io import read_limited_bytes
 from ..signal import Signal
 from .envelope import CLIPPED_PREFIX, Envelope, refine_envelope
 from .fidelity import ConversionLoss, format_loss_table, measure_loss
 from .formats import FOREIGN_LOADERS, Format, format_of_file
 from .gltf import GENERATOR, MAX_READ_BYTES, decode_glb
 from .hjif import get_mesh_path, has_path
-from .json_reader import read_limited_bytes
 from .options import DEFAULT_RENDER_RATE_HZ, ExportOptions, ImportOptions, choose_render_rate, require_samples
 from .provenance import EnvelopeFile, get_sidecar_path, is_sidecar, write_sidecar
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from ..errors import FileError
 from ..files import NPZ_ERRORS, check_text, refuse_pointer, write_bytes
+from ..json_io import REEXPORT_REMEDY, read_limited_bytes
 from ..signal import Signal
 from ..tables import decode_text, parse_columns
-from .json_reader import REEXPORT_REMEDY, read_limited_bytes
 from .options import ExportOptions, ImportOptions, get_finite_samples
 from .provenance import encode_provenance, read_sidecar_provenance
 

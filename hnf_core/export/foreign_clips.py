@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from ..json_io import JsonReader, read_json
 from .envelope import Emphasis, Envelope, Float, denormalise_frequency, extend_to_clicks
-from .json_reader import JsonReader, read_json
 from .options import ImportOptions
 from .provenance import EnvelopeFile, Provenance, make_rendered_provenance, parse_provenance
 

@@ -7,7 +7,7 @@ line, the loss report and the tests of all formats use this table.
   sentences on what the format cannot hold and on what was clipped; the loss report measures the rest. It raises
   FileError if the signal cannot be written (not finite, unsupported rate), UsageError if an option is missing.
 * A *reader* `(path, options) -> Signal` returns m/s². A format that stores only envelopes is rendered on a carrier
-  (`envelope.py`). It raises one FileError for any defect of the file, within bounded memory (see `json_reader.py`). It
+  (`envelope.py`). It raises one FileError for any defect of the file, within bounded memory (see `json_io.py`). It
   must read everything that the writer writes, since the loss is measured on it.
 """
 

@@ -34,10 +34,10 @@ from numpy.typing import NDArray
 from .. import __version__
 from ..errors import FileError, UsageError, make_damaged_error
 from ..files import write_bytes
+from ..json_io import read_limited_bytes
 from ..material.palette import Palette
 from ..material.token import LEVELS, TOKEN_NAMES
 from ..signal import Signal
-from .json_reader import read_limited_bytes
 from .options import ExportOptions, ImportOptions
 from .touched_surface import UNTOUCHED, TouchedSurface
 from .wav import decode_wav, encode_wav

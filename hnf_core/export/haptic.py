@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..json_io import JsonReader, read_json, write_json
 from ..signal import Signal
 from .envelope import (
     Emphasis,
@@ -28,7 +29,6 @@ from .envelope import (
     select_frequency_points,
     separate_equal_times,
 )
-from .json_reader import JsonReader, read_json, write_json
 from .options import ExportOptions, ImportOptions
 from .provenance import (
     SOFTWARE,

@@ -37,10 +37,10 @@ from numpy.typing import NDArray
 from .. import __version__
 from ..errors import FileError
 from ..files import escape_surrogates, write_bytes
+from ..json_io import JsonReader, read_json, write_json
 from ..signal import Signal
 from ..units import m_to_mm
 from .gltf import build_vertex_table, encode_surface, find_vertices_on_path
-from .json_reader import JsonReader, read_json, write_json
 from .options import (
     DEFAULT_FULL_SCALE_M_S2,
     MAX_FULL_SCALE_M_S2,
@@ -55,7 +55,7 @@ from .wav import UNITS
 VERSION, PROFILE, LEVEL = "2025", "Main", 1
 MAX_TIMESCALE = 48_000
 MAX_WRITTEN_SAMPLES = 480_000
-"""Largest number of samples: some 68 bytes each, within the 32 MB limit of `json_reader.py`; 48 s at 10 kHz."""
+"""Largest number of samples: some 68 bytes each, within the 32 MB limit of `json_io.py`; 48 s at 10 kHz."""
 MAX_TEXT_BYTES = 255
 MAX_DEVICE_HZ = 10_000.0
 MAX_VERTICES = 2**16 - 1

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileError
+from ..json_io import write_json
 from ..signal import Signal
 from .envelope import (
     Emphasis,
@@ -31,7 +32,6 @@ from .envelope import (
     separate_equal_times,
 )
 from .hjif import BAND_RENDERERS, TRANSIENT_S, EffectKeyframes, HjifChannel, encode_tree, is_sine, read_channel
-from .json_reader import write_json
 from .options import DEFAULT_RANGE_HZ, ExportOptions, ImportOptions
 from .provenance import EnvelopeFile, Provenance, make_rendered_provenance
 

@@ -16,9 +16,9 @@ from typing import Any
 from .. import __version__
 from ..errors import FileError
 from ..files import content_hash, escape_surrogates
+from ..json_io import read_json, write_json
 from ..signal import Signal
 from .envelope import CARRIER_DESCRIPTION, Envelope, render_envelope
-from .json_reader import read_json, write_json
 from .options import (
     DEFAULT_FULL_SCALE_M_S2,
     DEFAULT_RANGE_HZ,

@@ -19,7 +19,6 @@ from typing import TypeVar
 import numpy as np
 
 from ..action.action import Action, write_action_csv
-from ..dataclass_json import encode_json, load_json, parse_record
 from ..datasets.recording import DataSet, Recording, normalise_name
 from ..datasets.registry import get_training_recordings
 from ..errors import FileError, UsageError, format_choices, pluralize
@@ -31,6 +30,7 @@ from ..field.stroke import uniform_stroke
 from ..field.synthesis import synthesise
 from ..field.weights import load_field
 from ..files import write_bytes, write_text
+from ..json_io import encode_json, load_json, parse_record
 from ..material.ranking import find_material
 from ..signal import Signal
 

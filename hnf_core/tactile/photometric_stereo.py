@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..dataclass_json import encode_json, load_json, parse_record
 from ..errors import FileError, SceneError, UsageError
 from ..files import write_text
+from ..json_io import encode_json, load_json, parse_record
 from .fourier_filters import decimate, frequencies
 from .height import height_from_slopes, low_pass
 from .image_resolution import box_filter

@@ -285,7 +285,7 @@ def test_a_lessons_parent_that_dies_takes_it_along(tmp_path) -> None:
     import subprocess
 
     from hnf_blender.jobs.child_job import make_python_command
-    from hnf_core.dataclass_json import encode_json
+    from hnf_core.json_io import encode_json
 
     lesson = encode_json(LearnRequest("simulated", "", "oak-wood", 60.0, 1))
     words = make_python_command("learn", lesson, str(tmp_path / "out"))

@@ -20,10 +20,10 @@ LINE_LIMIT = 800
 
 # docs/architecture.md: a package may import from lower layers only, not from packages of its own layer.
 LAYERS = (
-    ("errors", "text", "progress", "child_process", "dataclass_json"),
+    ("errors", "text", "progress", "child_process"),
     ("units", "files", "signal", "threads"),
     ("kernel",),
-    ("safetensors_io", "tables"),
+    ("json_io", "safetensors_io", "tables"),
     ("scene", "metrics"),
     ("tactile",),
     ("action", "material"),

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.dataclass_json import encode_json, load_json, parse_record
+from hnf_core.json_io import encode_json, load_json, parse_record
 
 
 @dataclass(frozen=True)
