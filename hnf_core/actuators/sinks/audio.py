@@ -15,8 +15,7 @@ import numpy as np
 
 from ...errors import DeviceError, UsageError
 from ..runtime import import_optional
-from ..sink import Counts, SinkFormat, SinkStatus
-from .fading_queue import RAMP_S, FadingQueue
+from ..sink import RAMP_S, Counts, FadingQueue, SinkFormat, SinkStatus
 
 QUEUE_S = 0.015
 """Longest queue of a live device [s]."""

@@ -27,8 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...errors import DeviceError
 from ..limits import FULL_SCALE_COUNTS
 from ..runtime import import_optional
-from ..sink import Counts, SinkFormat, SinkStatus
-from .fading_queue import RAMP_S, FadingQueue
+from ..sink import RAMP_S, Counts, FadingQueue, SinkFormat, SinkStatus
 
 RATE_HZ = 4000.0
 """Sample rate of the sink; tactile signals end at 1 kHz."""

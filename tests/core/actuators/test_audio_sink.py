@@ -16,8 +16,8 @@ from sound_server import RATE_HZ, SoundServer, sound_server, why_not
 
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.signal_chain import render_counts
+from hnf_core.actuators.sink import RAMP_S
 from hnf_core.actuators.sinks.audio import CALLBACK_TIMEOUT_S, QUEUE_S, AudioSink
-from hnf_core.actuators.sinks.fading_queue import RAMP_S
 from hnf_core.actuators.sources import BufferSource
 from hnf_core.actuators.stream import Stream
 from hnf_core.actuators.stream_targets import list_devices

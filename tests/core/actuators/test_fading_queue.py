@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hnf_core.actuators.sinks.fading_queue import FadingQueue
+from hnf_core.actuators.sink import FadingQueue
 
 RAMP = 8
 Counts = NDArray[np.int16]
