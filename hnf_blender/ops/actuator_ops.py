@@ -25,7 +25,7 @@ from ..bridge.scene.object_size import get_metres_per_unit
 from ..props.scene_settings import get_actuator_profile
 from ..state.interface import redraw_tab
 from ..translations import tr
-from .context import DEFAULT_PROBE, fail_poll, format_error, report_errors, resolve_probe
+from .operator_base import DEFAULT_PROBE, fail_poll, format_error, report_errors, resolve_probe
 
 if TYPE_CHECKING:
     from ..state.status_tracker import TokenValidity

@@ -15,8 +15,7 @@ from ..state.interface import redraw_tab
 from ..state.labels import format_job, format_time_left
 from ..state.session_state import STATE, JobStatus, LastJob
 from ..translations import tr
-from .context import fail_poll, report_errors
-from .modal_job import ModalJob, poll_no_job
+from .operator_base import ModalJob, fail_poll, poll_no_job, report_errors
 
 
 class HNF_OT_plan(bpy.types.Operator):  # type: ignore[misc]

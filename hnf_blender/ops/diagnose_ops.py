@@ -22,7 +22,7 @@ from ..state.addon_settings import get_cache_folder
 from ..state.labels import format_bytes
 from ..state.session_state import STATE
 from ..translations import tr
-from .context import fail_poll
+from .operator_base import fail_poll
 
 REPORTED_PACKAGES = ("OpenEXR", "embreex", "safetensors", "matplotlib")
 """Optional packages whose versions are reported."""

@@ -14,7 +14,7 @@ from hnf_core.units import m_to_mm, mm_to_m
 from ..bridge.scene.object_size import get_metres_per_unit
 from ..props.stroke_settings import FORCE_MAX_N
 from ..translations import tr
-from .context import DEFAULT_PROBE, fail_poll, format_error, make_active_and_visible, report_errors, resolve_probe
+from .operator_base import DEFAULT_PROBE, fail_poll, format_error, make_active_and_visible, report_errors, resolve_probe
 
 PROBE_ITEMS = [
     (DEFAULT_PROBE, "Default", "The default probe set in the preferences"),

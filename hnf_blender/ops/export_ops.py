@@ -11,7 +11,7 @@ from hnf_core.errors import HnfError
 from ..props.scene_settings import FORMAT_ITEMS, get_active_stroke, has_strokes, list_strokes
 from ..state.interface import redraw_tab
 from ..translations import tr
-from .context import fail_poll, report_errors
+from .operator_base import fail_poll, report_errors
 from .preview_ops import poll_playable
 from .stroke_ops import UNDOABLE
 

@@ -17,7 +17,7 @@ from ..bridge.scene.object_size import get_metres_per_unit
 from ..props.scene_settings import find_index, get_active_stroke, list_strokes
 from ..props.stroke_settings import FORCE_MAX_N
 from ..translations import tr
-from .context import fail_poll, format_error, report_errors
+from .operator_base import fail_poll, format_error, report_errors
 from .stroke_ops import UNDOABLE, poll_active_stroke, poll_editable_stroke, require_local
 
 GRAPH_AREA_SHARE = 0.38

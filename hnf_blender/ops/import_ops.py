@@ -20,8 +20,8 @@ from ..props.scene_settings import get_active_stroke, list_strokes
 from ..state.addon_settings import get_cache_folder
 from ..state.session_state import STATE
 from ..translations import tr
-from .context import fail_poll, format_error, make_active
 from .material_ops import find_material_object
+from .operator_base import fail_poll, format_error, make_active
 from .stroke_ops import UNDOABLE
 
 if TYPE_CHECKING:

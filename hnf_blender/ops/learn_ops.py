@@ -16,9 +16,8 @@ from ..state.addon_settings import get_settings
 from ..state.labels import CHARACTER_PX, MARGIN_PX, format_job, format_time_left, wrap_text
 from ..state.session_state import STATE, JobStatus, LastJob
 from ..translations import tr
-from .context import fail_poll, format_error
 from .material_ops import find_material_object, get_library_items
-from .modal_job import TICK_S, ModalJob, poll_no_job
+from .operator_base import TICK_S, ModalJob, fail_poll, format_error, poll_no_job
 
 if TYPE_CHECKING:
     from hnf_core.training.learn import LearnRequest

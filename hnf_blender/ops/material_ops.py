@@ -18,8 +18,7 @@ from ..props.scene_settings import get_active_stroke
 from ..state.labels import format_time_left
 from ..state.session_state import STATE, JobStatus, LastJob
 from ..translations import tr
-from .context import fail_poll, get_surface_in_layer, report_errors
-from .modal_job import ModalJob, poll_no_job
+from .operator_base import ModalJob, fail_poll, get_surface_in_layer, poll_no_job, report_errors
 from .stroke_ops import UNDOABLE, poll_editable_stroke
 
 if TYPE_CHECKING:

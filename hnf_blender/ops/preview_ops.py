@@ -16,7 +16,7 @@ from ..state.interface import redraw_tab
 from ..state.session_state import STATE
 from ..touch.bake_status import Freshness
 from ..translations import tr
-from .context import fail_poll, report_errors
+from .operator_base import fail_poll, report_errors
 from .stroke_ops import poll_active_stroke
 
 NOT_BAKED_REASON = "Not baked yet: press Bake in the Touch tab"

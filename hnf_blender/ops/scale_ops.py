@@ -11,7 +11,7 @@ from hnf_core.units import MAX_LENGTH_M, MIN_LENGTH_M, compute_metric_scale, m_t
 
 from ..state.interface import redraw_tab, redraw_views
 from ..translations import tr
-from .context import fail_poll
+from .operator_base import fail_poll
 from .stroke_ops import UNDOABLE
 
 SELECT_TWO_POINTS = "Select two vertices in Edit Mode, or two objects (such as empties) in Object Mode"

@@ -22,7 +22,8 @@ from ..props.scene_settings import (
 )
 from ..state.labels import wrap_text
 from ..translations import tr
-from .context import (
+from .draw_ops import PROBE_ITEMS
+from .operator_base import (
     DEFAULT_PROBE,
     fail_poll,
     format_error,
@@ -32,7 +33,6 @@ from .context import (
     report_errors,
     resolve_probe,
 )
-from .draw_ops import PROBE_ITEMS
 
 UNDOABLE = {"REGISTER", "UNDO"}
 """Options of operators that can be redone and undone."""

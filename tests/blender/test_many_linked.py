@@ -11,7 +11,7 @@ from builders import add_plane
 from stroke_builders import LINE, add_stroke
 
 from hnf_blender.bridge.scene.scene_names import find_object, get_named_objects, get_scene_name
-from hnf_blender.ops.context import get_surface_in_layer
+from hnf_blender.ops.operator_base import get_surface_in_layer
 from hnf_blender.props.object_cache import CHANGES
 from hnf_blender.state import status_tracker
 from hnf_blender.state.session_state import STATE, get_shown_name

@@ -11,7 +11,7 @@ from job_scene import LIMIT_S, NOTHING, is_gone, kept, kill, my_folders, reach, 
 
 from hnf_blender.jobs import manager as current
 from hnf_blender.jobs.bake_process import get_process
-from hnf_blender.ops.modal_job import ModalJob, poll_no_job
+from hnf_blender.ops.operator_base import ModalJob, poll_no_job
 from hnf_blender.state.session_state import STATE, LastJob
 from hnf_core.errors import HnfError
 
