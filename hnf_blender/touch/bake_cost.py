@@ -27,8 +27,10 @@ PLACEMENT_SECONDS, SYNTHESIS_SECONDS = 0.7, 0.12
 """Processor time of placing a stroke, and of synthesizing one of a second or two."""
 VIEW_SECONDS, LIT_VIEW_SECONDS = 1.25, 2.7
 """Processor time of a rendered view under the neutral dome, and under lights of the scene."""
-FIGURE_SECONDS, FIRST_FIGURE_SECONDS = 0.58, 1.0
-"""Processor time of the figure over a view, and of loading matplotlib before the first."""
+FIGURE_SECONDS, FIRST_FIGURE_SECONDS = 0.58, 3.5
+"""Processor time of the figure over a view, and of loading matplotlib and the denoiser before the first."""
+START_SECONDS = 2.0
+"""Processor time of the start of `hnf touch`: Blender, the scene, the field."""
 SPREAD_SHARE = 0.6
 """Share of the processor time of close-ups and views that all cores work on."""
 TRIES = 5

@@ -41,6 +41,7 @@ from .bake_cost import (
     PLACEMENT_SECONDS,
     PLAIN_CLOSEUP_SECONDS,
     PREDICTION_SECONDS,
+    START_SECONDS,
     SYNTHESIS_SECONDS,
     TouchedPart,
     Work,
@@ -458,7 +459,7 @@ class Plan:
 
     @property
     def work(self) -> Work:
-        """Estimated work of the run."""
+        """Estimated work of the run, with its start unless there is nothing to do."""
         queries = sum(
             query.close_ups
             * (
@@ -469,7 +470,8 @@ class Plan:
         )
         views = self.views + self.redrawn_pictures if self.with_pictures else 0
         drawing = estimate_pictures(self.pictures, views, is_lit=self.is_lit)
-        return sum((entry.work for entry in self.needed), Work(queries) + drawing)
+        work = sum((entry.work for entry in self.needed), Work(queries) + drawing)
+        return work if work == NO_WORK else work + Work(single_s=START_SECONDS)
 
     def as_json(self) -> str:
         """Return the plan as JSON."""

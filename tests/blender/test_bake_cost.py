@@ -45,6 +45,8 @@ def test_shared_cached_and_fresh_places_are_not_counted_again(tmp_path, capsys):
     first, second = (entry["work"] for entry in cold["needed"])
     assert first["rendering_s"] > 0.0
     assert second == {"rendering_s": 0.0, "single_s": bake_cost.SYNTHESIS_SECONDS}
+    started = sum(sum(entry["work"].values()) for entry in cold["needed"]) + bake_cost.START_SECONDS
+    assert cold["estimate"]["processor_seconds"] == pytest.approx(cold["slowness"] * started, abs=0.051)
     assert cold["views"] == 1  # both strokes lie in one
     assert main(["touch", scene, "--out", str(out), "--no-pictures"]) == 0
     fresh = read_plan(capsys, scene, "--out", str(out), "--no-pictures")
