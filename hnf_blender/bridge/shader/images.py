@@ -355,6 +355,6 @@ def _iter_image_nodes(node: Any, visited: set[int]) -> Iterator[Any]:
             if inner.bl_idname == GROUP_OUTPUT_NODE:
                 yield from _iter_image_nodes(inner, visited)
     for socket in node.inputs:
-        for link in socket.links:
+        for link in socket.links if socket.is_linked else ():
             if not link.is_muted and link.is_valid:
                 yield from _iter_image_nodes(link.from_node, visited)

@@ -36,6 +36,8 @@ class NodeGraph:
 
         This is the output socket that computes it, or the unlinked input socket whose default_value it is.
         """
+        if not socket.is_linked:  # Reading `links` takes a pass over all links of the tree.
+            return socket
         link = next((link for link in socket.links if not link.is_muted and link.is_valid), None)
         return socket if link is None else self._source(link.from_socket)
 
