@@ -7,7 +7,7 @@ unchanged views are not rendered again.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -139,6 +139,31 @@ class OverviewRenderer:
         )
         return view, notes
 
+    def measure_depth(self, camera: Camera, objects: Sequence[Any]) -> NDArray[np.float32]:
+        """Render the planar depth (H, W) of a camera's view [m], to tell what it hides before the view is rendered.
+
+        One noisy sample without a denoiser costs a small part of the view.
+        """
+        temporary = self.temporary
+        with temporary.track_new_data(), self._link_temporarily([] if self._entire_scene else objects, None):
+            self._set_lighting(self._scene)
+            temporary.scene.camera = self._camera
+            set_camera(temporary.scene, self._camera, camera, np.eye(4), self._metres)
+            temporary.evaluate(_get_frame(self._scene, None))
+            with self._quick_settings():
+                return get_planar_depth(render_passes(temporary), self._metres)
+
+    @contextmanager
+    def _quick_settings(self) -> Iterator[None]:
+        """Render one sample a pixel and do not denoise it, for the with block."""
+        cycles = self.temporary.scene.cycles
+        before = cycles.samples, cycles.use_denoising
+        cycles.samples, cycles.use_denoising = 1, False
+        try:
+            yield
+        finally:
+            cycles.samples, cycles.use_denoising = before
+
     def _is_black(self, passes: dict[str, NDArray[np.float32]], **limit: float) -> bool:
         """Return True if rendered passes are black where they show a surface."""
         return is_black(passes["Combined"][..., :3], np.isfinite(get_planar_depth(passes, self._metres)), **limit)
@@ -148,21 +173,29 @@ class OverviewRenderer:
 
         Where one view was black the next one mostly is: this look costs little and saves rendering it twice.
         """
-        scene = self.temporary.scene
-        before = scene.render.resolution_percentage, scene.cycles.samples, scene.cycles.use_denoising
-        scene.render.resolution_percentage = max(1, before[0] // PREVIEW_REDUCTION)
-        scene.cycles.samples, scene.cycles.use_denoising = 1, False
+        render = self.temporary.scene.render
+        before = render.resolution_percentage
+        render.resolution_percentage = max(1, before // PREVIEW_REDUCTION)
         try:
-            return self._is_black(render_passes(self.temporary), min_lit=0.0)
+            with self._quick_settings():
+                return self._is_black(render_passes(self.temporary), min_lit=0.0)
         finally:
-            scene.render.resolution_percentage, scene.cycles.samples, scene.cycles.use_denoising = before
+            render.resolution_percentage = before
+
+    def link_objects(self, objects: Sequence[Any]) -> AbstractContextManager[None]:
+        """Link objects for several renders within the with block, so that Cycles builds their geometry once."""
+        return self._link_temporarily(objects, None)
 
     @contextmanager
     def _link_temporarily(self, objects: Sequence[Any], camera: Any) -> Iterator[None]:
-        """Link objects, the user's lights and a camera to the temporary scene for the with block."""
+        """Link objects, the user's lights and a camera to the temporary scene for the with block.
+
+        Those that are linked already stay so.
+        """
         lights = [] if self._entire_scene else [obj for obj in self._scene.objects if obj.type == "LIGHT"]
         collection = self.temporary.scene.collection
-        linked = dict.fromkeys([*objects, *lights, *([] if camera is None or self._entire_scene else [camera])])
+        wanted = dict.fromkeys([*objects, *lights, *([] if camera is None or self._entire_scene else [camera])])
+        linked = [member for member in wanted if self.temporary.scene not in member.users_scene]
         try:
             for member in linked:
                 self.temporary.link(member)

@@ -42,7 +42,7 @@ def sample_depth(image: NDArray[np.float32], uv: Float) -> Float:
     return np.asarray(image[row, column], dtype=np.float64)
 
 
-def clip_obstacles(camera: Camera, depth: Float, visible_depth: Float, clearance_m: float) -> Camera | None:
+def clip_obstacles(camera: Camera, depth: NDArray[np.float32], path: Float, clearance_m: float) -> Camera | None:
     """Return a camera whose near clipping plane cuts away what is in front of a stroke.
 
     None if the obstacle is not in front of all of it, so that no clipping plane separates them.
@@ -51,10 +51,10 @@ def clip_obstacles(camera: Camera, depth: Float, visible_depth: Float, clearance
     ----------
     camera : Camera
         Camera of the view.
-    depth : (n,) array
-        Planar depth of the stroke's points [m].
-    visible_depth : (n,) array
-        Depth that the view shows at these points [m].
+    depth : (H, W) array
+        Planar depth that the view shows [m].
+    path : (n, 3) array
+        Points of the stroke in world coordinates [m].
     clearance_m : float
         Maximum distance of the clipping plane in front of the stroke [m].
 
@@ -62,9 +62,10 @@ def clip_obstacles(camera: Camera, depth: Float, visible_depth: Float, clearance
     -------
     Camera or None
     """
-    nearest = float(depth.min())
+    uv, path_depth = camera.project(path)
+    visible_depth, nearest = sample_depth(depth, uv), float(path_depth.min())
     obstacle_depth = visible_depth[
-        (visible_depth < depth - OCCLUSION_DEPTH_M) & (visible_depth < nearest - OCCLUSION_DEPTH_M)
+        (visible_depth < path_depth - OCCLUSION_DEPTH_M) & (visible_depth < nearest - OCCLUSION_DEPTH_M)
     ]
     if not len(obstacle_depth):
         return None
@@ -88,8 +89,10 @@ MIN_VISIBLE_FRACTION = 0.25
 """Fraction of visible points of a stroke below which another view is tried."""
 MAX_CUTS = 2
 """Maximum number of clipped views, since one obstacle may hide another."""
+LOOK_WIDTH = WIDTH // 8
+"""Width of a quick render that tells what hides a stroke before its view is rendered [pixels]."""
 MAX_STROKE_VIEWS = 1 + MAX_CUTS
-"""Maximum number of renders for one stroke, besides the views that it shares."""
+"""Maximum number of views rendered for one stroke, besides those that it shares."""
 MIN_SHARED_FRACTION = 0.1
 """Extent of a stroke, as a fraction of the image's width, below which it does not share an overview."""
 MIN_SHARING_STROKES = 2
@@ -110,6 +113,10 @@ class Overview:
 
     view: RgbdView
     notes: tuple[str, ...]
+
+    def mask_visible(self, path: Float) -> NDArray[np.bool_]:
+        """Return a mask (n,) of the path's points (n, 3) that are visible."""
+        return mask_visible_points(self.view.camera, self.view.depth, path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,9 +262,9 @@ class StrokeViews:
         """
         path, note = cameras.own.path, ""
         overview = None if cameras.shared is None else self._get_shared_overview(cameras.shared)
-        if overview is None or mask_visible_points(overview.view, path).mean() < MIN_VISIBLE_FRACTION:
+        if overview is None or overview.mask_visible(path).mean() < MIN_VISIBLE_FRACTION:
             overview, note = self._render_past_obstacles(cameras.own)
-        visible = mask_visible_points(overview.view, path)
+        visible = overview.mask_visible(path)
         if not visible.any():
             note = "all of it is hidden in its picture."
         uv, _ = overview.view.camera.project(path)
@@ -270,29 +277,40 @@ class StrokeViews:
         return self._shared[1]
 
     def _render_past_obstacles(self, camera_view: CameraView) -> tuple[Overview, str]:
-        """Return the view from a camera, clipped if that shows more of the path, and a note if it is clipped."""
-        views = [self._render(camera_view)]
-        while (
-            len(views) <= MAX_CUTS
-            and mask_visible_points(views[-1].view, camera_view.path).mean() < MIN_VISIBLE_FRACTION
-        ):
-            last = views[-1].view
-            uv, depth = last.camera.project(camera_view.path)
-            camera = clip_obstacles(last.camera, depth, sample_depth(last.depth, uv), camera_view.radius_m)
-            if camera is None:
-                break
-            views.append(self._render(replace(camera_view, camera=camera)))
-        best = max(views, key=lambda overview: mask_visible_points(overview.view, camera_view.path).sum())
-        return best, "" if best is views[0] else "what stands before it is cut away in its picture."
+        """Return the view from a camera, clipped where obstacles hide the path, and a note if it is clipped."""
+        own, path = camera_view, camera_view.path
+        with self._get_overviews().link_objects(self._list_objects(camera_view)):
+            for cuts_left in range(MAX_CUTS, -1, -1):
+                cut = self._cut_by_look(camera_view) if cuts_left else None
+                if cut is None:
+                    overview = self._render(camera_view)
+                    if cuts_left and overview.mask_visible(path).mean() < MIN_VISIBLE_FRACTION:
+                        cut = clip_obstacles(overview.view.camera, overview.view.depth, path, camera_view.radius_m)
+                    if cut is None:
+                        break
+                camera_view = replace(camera_view, camera=cut)
+        return overview, "" if camera_view is own else "what stands before it is cut away in its picture."
+
+    def _cut_by_look(self, camera_view: CameraView) -> Camera | None:
+        """Return a camera that is clipped if a small quick render shows an obstacle before the path, else None."""
+        camera = resize_camera(camera_view.camera, LOOK_WIDTH)
+        depth = self._get_overviews().measure_depth(camera, self._list_objects(camera_view))
+        if mask_visible_points(camera, depth, camera_view.path).mean() >= MIN_VISIBLE_FRACTION:
+            return None
+        cut = clip_obstacles(camera, depth, camera_view.path, camera_view.radius_m)
+        return None if cut is None else replace(camera_view.camera, clip_start=cut.clip_start)
 
     def _render(self, camera_view: CameraView) -> Overview:
+        self._counts.add("renders")
+        return Overview(*self._get_overviews().render_view(camera_view.camera, self._list_objects(camera_view)))
+
+    def _get_overviews(self) -> OverviewRenderer:
         if self._overviews is None:
             overviews = OverviewRenderer(
                 self._scene, metres_per_unit=self._metres, samples=_get_sample_count(), relief="fast"
             )
             self._overviews = self._stack.enter_context(overviews)
-        self._counts.add("renders")
-        return Overview(*self._overviews.render_view(camera_view.camera, self._list_objects(camera_view)))
+        return self._overviews
 
     def _list_objects(self, camera_view: CameraView) -> list[Any]:
         return select_visible_objects(self._surroundings, camera_view.camera, camera_view.path, camera_view.touched)
@@ -472,10 +490,10 @@ def may_be_visible(camera: Camera, centre: Float, radius: Float) -> NDArray[np.b
     return np.asarray((depth >= -radius) & (around | inside))
 
 
-def mask_visible_points(view: RgbdView, path: Float) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the path's points (n, 3) that are visible in a view."""
-    uv, depth = view.camera.project(path)
-    inside = (uv >= 0).all(axis=1) & (uv < [view.camera.width, view.camera.height]).all(axis=1)
-    pixel_m = (depth if view.camera.kind == "perspective" else 1.0) / view.camera.intrinsics[0, 0]
+def mask_visible_points(camera: Camera, depth: NDArray[np.float32], path: Float) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the path's points (n, 3) that are visible where a view has a planar depth (H, W) [m]."""
+    uv, path_depth = camera.project(path)
+    inside = (uv >= 0).all(axis=1) & (uv < [camera.width, camera.height]).all(axis=1)
+    pixel_m = (path_depth if camera.kind == "perspective" else 1.0) / camera.intrinsics[0, 0]
     tolerance = np.maximum(OCCLUSION_DEPTH_M, PIXELS_OF_DEPTH * pixel_m)
-    return np.asarray(inside & (depth <= sample_depth(view.depth, uv) + tolerance))
+    return np.asarray(inside & (path_depth <= sample_depth(depth, uv) + tolerance))

@@ -131,7 +131,7 @@ class Counts:
     close_ups : int
         Patches rendered.
     renders : int
-        Renders of any kind.
+        Renders of any kind, without the small ones that tell what a view hides or whether it is black.
     rays : int
         Rays and nearest-point queries.
     network_calls : int
