@@ -26,7 +26,7 @@ from hnf_core.scene.mesh import TriangleMesh, crop_mesh, has_area, has_crowded_e
 from hnf_core.scene.raycast import CastView, ViewCaster, cast_view, compute_view_normals
 from hnf_core.scene.rgbd_view import RgbdView
 from hnf_core.tactile.fourier_filters import decimate, restore_texels
-from hnf_core.tactile.height import fill_masked, height_from_slopes
+from hnf_core.tactile.height import fill_masked, has_flipped_green, height_from_slopes
 from hnf_core.tactile.mesh_relief import (
     GRID,
     FaceSpacing,
@@ -74,7 +74,7 @@ from .shader.aov_taps import (
     find_texel_grid,
     measure_image_step,
 )
-from .shader.bump_displacement import MicroGeometry, Relief, Slopes, has_flipped_green, judge_normal_colour
+from .shader.bump_displacement import MicroGeometry, Relief, Slopes, judge_normal_colour
 from .shader.closures import Layers, average_appearance, list_closures, mix_closures, read_shading_value
 
 Mask = NDArray[np.bool_]

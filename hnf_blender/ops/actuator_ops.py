@@ -212,7 +212,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # bpy has no
         return True
 
     def _check_likely_surface(self, context: Any) -> None:
-        """Check whether the baked tokens of the surface most likely touched first are valid.
+        """Cache whether the baked tokens of the surface that is likely touched first still fit the scene.
 
         Hashing the surface later would delay the pen.
         """

@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 
     from ..bridge.splat_reconstruction import Reconstruction
 
-SPEAKER_PEAK_SHARE = 0.9
-"""Peak of a signal in m/s² as a fraction of full scale, above which Blender clips."""
-
 
 class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # bpy has no types, Blender's naming
     bl_idname = "hnf.import_material"
@@ -151,9 +148,8 @@ class HNF_OT_import_sound(bpy.types.Operator):  # type: ignore[misc]
         stroke = _find_signal_stroke(signal, context)
         location = context.scene.cursor.location if stroke is None else get_bounding_box_centre(stroke)
         frame = context.scene.frame_current if stroke is None else stroke.hnf_stroke.start
-        speaker = add_speaker(sound, path.stem, location, frame, stroke)
-        if signal is not None and signal.samples.size:
-            speaker.data.volume = min(1.0, SPEAKER_PEAK_SHARE / max(float(abs(signal.samples).max()), 1e-9))
+        peak = 0.0 if signal is None else float(abs(signal.samples).max(initial=0.0))
+        speaker = add_speaker(sound, path.stem, location, frame, stroke, peak)
         location_text = tr("at the 3D cursor") if stroke is None else tr("at stroke '{name}'").format(name=stroke.name)
         self.report({"INFO"}, f"{speaker.name}: {location_text}")
         return {"FINISHED"}

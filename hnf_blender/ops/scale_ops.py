@@ -7,8 +7,9 @@ from typing import Any
 import bpy
 
 from hnf_core.errors import HnfError
-from hnf_core.units import MAX_LENGTH_M, MIN_LENGTH_M, compute_metric_scale, m_to_mm
+from hnf_core.units import m_to_mm
 
+from ..bridge.scene.object_size import MAX_LENGTH_M, MIN_LENGTH_M, compute_metric_scale, get_metres_per_unit
 from ..state.interface import redraw_tab, redraw_views
 from ..translations import tr
 from .operator_base import fail_poll
@@ -71,7 +72,6 @@ class HNF_OT_set_real_length(bpy.types.Operator):  # type: ignore[misc]  # bpy h
         return {"RUNNING_MODAL"}
 
     def _show_dialog(self, context: Any, points: tuple[Any, Any]) -> set[str]:
-        from ..bridge.scene.object_size import get_metres_per_unit
 
         if not self.properties.is_property_set("length_m"):
             self.length_m = max((points[1] - points[0]).length * get_metres_per_unit(context.scene), MIN_LENGTH_M)
@@ -143,7 +143,6 @@ class HNF_OT_set_real_length(bpy.types.Operator):  # type: ignore[misc]  # bpy h
         return Vector(self.first), Vector(self.second)
 
     def _show_status(self, context: Any) -> None:
-        from ..bridge.scene.object_size import get_metres_per_unit
 
         if self._clicked is None:
             text = tr("Click on the first point.  Esc or right click: cancel")

@@ -156,7 +156,11 @@ def get_bounding_box_centre(obj: Any) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def add_speaker(sound: Any, name: str, location: Any, frame: float, parent: Any = None) -> Any:
+SPEAKER_PEAK_SHARE = 0.9
+"""Largest peak of a speaker's sound as a fraction of full scale, above which Blender clips."""
+
+
+def add_speaker(sound: Any, name: str, location: Any, frame: float, parent: Any = None, peak: float = 0.0) -> Any:
     """Add a Speaker object; works in Object Mode only.
 
     Only Blender's own operator creates the NLA strip that starts the sound.
@@ -173,6 +177,8 @@ def add_speaker(sound: Any, name: str, location: Any, frame: float, parent: Any 
         Frame at which the sound starts.
     parent : bpy.types.Object, optional
         Object that the speaker moves with; its size scales the speaker's symbol.
+    peak : float, optional
+        Largest sample of the sound, 1 at full scale; the volume is lowered where it exceeds SPEAKER_PEAK_SHARE.
 
     Returns
     -------
@@ -184,6 +190,7 @@ def add_speaker(sound: Any, name: str, location: Any, frame: float, parent: Any 
     speaker = bpy.context.view_layer.objects.active
     speaker.name = speaker.data.name = name
     speaker.data.sound = sound
+    speaker.data.volume = min(1.0, SPEAKER_PEAK_SHARE / max(peak, 1e-9))
     speaker.data.attenuation = 0.0  # as loud as a strip, however far away the camera is
     for track in speaker.animation_data.nla_tracks:
         for strip in track.strips:

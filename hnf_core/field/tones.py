@@ -118,7 +118,7 @@ class PitchScatter:
 
 @lru_cache(maxsize=16)
 def _draw_scatter_waves(seed: int) -> tuple[Float, Float]:
-    """Draw the wavenumbers [cycles/m] and the phases [turns] of the waves of a displacement, (2, waves) each."""
+    """Draw wavenumbers [cycles/m] and phases [turns], (2, waves) each, of the sines that displace the threads."""
     draw = np.random.Generator(np.random.Philox(key=seed)).random((2, 2, SCATTER_WAVES))
     share = 0.5 + 0.5 * (np.arange(SCATTER_WAVES) + draw[0]) / SCATTER_WAVES
     # exp(−(π x / L)²) is the transform of a normal distribution of wavenumbers with deviation 1 / (√2 L).

@@ -66,7 +66,7 @@ class TimeHop(NamedTuple):
 
     @staticmethod
     def from_waves(waves: tuple[Float32, ...]) -> TimeHop:
-        """Store waves, one array per sample rate, together with their memory addresses."""
+        """Store a hop's noise carriers, one array (bands, samples) per sample rate, with their memory addresses."""
         return TimeHop(waves, pack_pointers([get_address(level, np.float32) for level in waves]))
 
 

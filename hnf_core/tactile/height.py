@@ -245,6 +245,21 @@ def height_from_slopes(gx: ArrayLike, gy: ArrayLike, mask: ArrayLike, metres_per
     return integrate_gradients(level_x, level_y, metres_per_pixel)
 
 
+def has_flipped_green(gx: Float, gy: Float, mask: NDArray[np.bool_]) -> bool:
+    """Return True if slopes `gx`, `gy` (H, W) fit a surface far better with `gy` negated.
+
+    This detects normal maps of the DirectX convention. A height field has no curl, ∂(∂h/∂x)/∂y = ∂(∂h/∂y)/∂x, so the
+    sign with less curl under `mask` is the right one; y points against the rows.
+    """
+    inner = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
+    along_y = -(gx[2:, 1:-1] - gx[:-2, 1:-1])[inner]
+    along_x = (gy[1:-1, 2:] - gy[1:-1, :-2])[inner]
+    if along_x.size == 0:
+        return False
+    right, flipped = np.mean((along_y - along_x) ** 2), np.mean((along_y + along_x) ** 2)
+    return bool(flipped < 0.25 * right)
+
+
 def _check_pixel_size(metres_per_pixel: float) -> None:
     if not MIN_PIXEL_M <= metres_per_pixel <= MAX_PIXEL_M:
         raise UsageError(

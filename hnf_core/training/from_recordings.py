@@ -279,7 +279,10 @@ def _format_choice(attempts: Sequence[Attempt], losses: Sequence[float], best: A
 
 
 def _find_token_and_mechanics(kind: str, name: str) -> tuple[NDArray[np.float32] | None, Mechanics]:
-    """Return token and mechanics of a material from the library; None and unknown mechanics for other data."""
+    """Return the library's token and mechanics of the material `name` if the data set of this kind uses its names.
+
+    For other kinds of data sets: None, and mechanics that are unknown.
+    """
     if kind != "simulated":
         return None, UNKNOWN_MECHANICS
     material = get_material(name)

@@ -20,7 +20,6 @@ from closeup_builders import (
 
 from hnf_blender.bridge import closeup as closeup_module
 from hnf_blender.bridge.closeup import flood_fill
-from hnf_blender.bridge.shader.bump_displacement import has_flipped_green
 from hnf_core.errors import SceneError
 
 
@@ -216,13 +215,3 @@ def test_flood_goes_round_corners_and_not_through_walls():
     expected = open_cells.copy()
     expected[2:, 0] = False
     np.testing.assert_array_equal(reached, expected)
-
-
-def test_curl_tells_which_way_green_points():
-    height = np.random.default_rng(0).standard_normal((64, 64))
-    for _ in range(3):
-        height = (height + np.roll(height, 1, 0) + np.roll(height, 1, 1) + np.roll(height, -1, 0)) / 4
-    gx, gy = np.gradient(height, axis=1), -np.gradient(height, axis=0)
-    everywhere = np.ones((64, 64), dtype=bool)
-    assert not has_flipped_green(gx, gy, everywhere)
-    assert has_flipped_green(gx, -gy, everywhere)

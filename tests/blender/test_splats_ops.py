@@ -10,17 +10,21 @@ import bpy
 import numpy as np
 import pytest
 from builders import add_plane
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from mathutils import Vector
 from panel_recorder import drawn
 from splat_builders import slab, slab_file
 from touch_scene import place_data
 
 from hnf_blender.bridge import splat_reconstruction
+from hnf_blender.bridge.scene.object_size import compute_metric_scale
 from hnf_blender.bridge.splat_cloud import get_cloud, is_cloud, read_cloud
 from hnf_blender.bridge.splat_reconstruction import TouchSurface
 from hnf_blender.bridge.viewport_pick import cast_on_surface, pick_object_along_ray
 from hnf_blender.ops.import_ops import SplatReader
 from hnf_blender.ui.scene_panel import HNF_PT_scale
+from hnf_core.errors import UsageError
 from hnf_core.progress import Progress, ignore_progress
 from hnf_core.scene.splats.splat_file import open_splat_file, read_splats
 from reference.splat_layouts import WRITERS, get_suffix, write_sog
@@ -277,3 +281,34 @@ def test_a_pen_draws_on_the_surface_through_its_ellipsoids(imported) -> None:
     imported.hide_set(True)
     shelf.hide_set(True)
     assert cast_on_surface(scene, bpy.context.evaluated_depsgraph_get(), None, start, down) is None
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.tuples(*[st.floats(-100.0, 100.0)] * 3), st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.floats(1e-3, 1e2))
+def test_a_length_in_metres_is_that_length_after_scaling(point, way, length):
+    assume(np.linalg.norm(way) > 1e-2)
+    a, b = np.array(point), np.array(point) + np.array(way)
+    scale = compute_metric_scale(a, b, length)
+    assert np.linalg.norm(b * scale - a * scale) == pytest.approx(length, rel=1e-9)
+    assert compute_metric_scale(b, a, length) == scale
+    assert compute_metric_scale(2.0 * a, 2.0 * b, length) == pytest.approx(scale / 2.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "length"),
+    [
+        ([0, 0, 0], [0, 0, 0], 1.0),
+        ([1e6, 0, 0], [1e6 + 1e-3, 0, 0], 1.0),
+        ([0, 0, 0], [1, 0, 0], 0.0),
+        ([0, 0, 0], [1, 0, 0], -1.0),
+        ([0, 0, 0], [1, 0, 0], np.nan),
+        ([0, 0, 0], [1, 0, 0], 1e9),
+        ([0, 0, 0], [1e-8, 0, 0], 1.0),
+        ([0, 0, 0], [1e9, 0, 0], 1.0),
+        ([0, 0, np.nan], [1, 0, 0], 1.0),
+        ([0, 0], [1, 0], 1.0),
+    ],
+)
+def test_a_length_that_says_nothing_is_refused(a, b, length):
+    with pytest.raises(UsageError):
+        compute_metric_scale(a, b, length)

@@ -1,5 +1,6 @@
 """Size and place of objects without reading their meshes: unit scale, visibility, world-aligned bounding boxes.
 
+Also here: the unit scale of a scene from one known length, as images of a reconstruction alone do not determine it.
 `describe_neighbours` tells which objects may be in a hand's way; objects of implausible size get a warning.
 """
 
@@ -12,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hnf_core.errors import SceneError
+from hnf_core.errors import SceneError, UsageError
 from hnf_core.progress import add_work
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     Float = NDArray[np.float64]
 
@@ -138,6 +139,53 @@ def get_metres_per_unit(scene: Any, override: float | None = None) -> float:
         return rounded
     settings = scene.unit_settings
     return 1.0 if settings.system == "NONE" else float(settings.scale_length)
+
+
+MIN_LENGTH_M, MAX_LENGTH_M = 1e-4, 1e4
+"""Accepted known lengths [m]."""
+MIN_METERS_PER_UNIT, MAX_METERS_PER_UNIT = 1e-6, 1e6
+"""Accepted scales [m per unit]."""
+
+
+def compute_metric_scale(point_a: ArrayLike, point_b: ArrayLike, length_m: float) -> float:
+    """Compute the metres per unit from two points and their distance.
+
+    Parameters
+    ----------
+    point_a, point_b : array_like, shape (3,)
+        Two points in units of the reconstruction.
+    length_m : float
+        Distance between them [m].
+
+    Returns
+    -------
+    float
+        Length of a unit [m].
+
+    Raises
+    ------
+    UsageError
+        If a point has not three finite numbers, the points coincide, or the length or the scale is out of range.
+    """
+    a, b = (np.asarray(point, dtype=np.float64) for point in (point_a, point_b))
+    if a.shape != (3,) or b.shape != (3,) or not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise UsageError("a point is not three finite numbers.", remedy="Give x, y and z of both points.")
+    if not MIN_LENGTH_M <= length_m <= MAX_LENGTH_M:
+        raise UsageError(
+            f"{length_m} m is no length to measure with.",
+            remedy="Give the meters between the two points, from 0.1 mm to 10 km.",
+        )
+    units = float(np.linalg.norm(b / 2.0 - a / 2.0) * 2.0)
+    spread = float(max(np.abs(a).max(), np.abs(b).max()))
+    if units <= 1e-6 * spread or units == 0.0:
+        raise UsageError("both points are the same.", remedy="Choose two points that lie apart.")
+    scale = length_m / units
+    if not MIN_METERS_PER_UNIT <= scale <= MAX_METERS_PER_UNIT:
+        raise UsageError(
+            f"a unit would be {scale:.3g} m.",
+            remedy="Check the length and both points: they should be on the object, and the length in meters.",
+        )
+    return float(scale)
 
 
 def get_size_warning(obj: Any, metres: float) -> str | None:

@@ -327,18 +327,3 @@ def _get_strength(node: Any, graph: NodeGraph) -> float:
 
 def _format_label(node: Any, kind: str) -> str:
     return f"normal map '{node.name}'" if node.bl_idname == "ShaderNodeNormalMap" else f"{kind} of '{node.name}'"
-
-
-def has_flipped_green(gx: Float, gy: Float, mask: NDArray[np.bool_]) -> bool:
-    """Return True if slopes `gx`, `gy` (H, W) fit a surface far better with `gy` negated.
-
-    This detects normal maps of the DirectX convention. A height field has no curl, ∂(∂h/∂x)/∂y = ∂(∂h/∂y)/∂x, so the
-    sign with less curl under `mask` is the right one; y points against the rows.
-    """
-    inner = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
-    along_y = -(gx[2:, 1:-1] - gx[:-2, 1:-1])[inner]
-    along_x = (gy[1:-1, 2:] - gy[1:-1, :-2])[inner]
-    if along_x.size == 0:
-        return False
-    right, flipped = np.mean((along_y - along_x) ** 2), np.mean((along_y + along_x) ** 2)
-    return bool(flipped < 0.25 * right)

@@ -254,7 +254,11 @@ def render_motion_axes(
 
 
 def render_motion(stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], carriers: Carriers) -> Float:
-    """Render what is felt of a measured relief, (count,) [m/s²], both axes fused; see render_motion_axes."""
+    """Render the acceleration (count,) [m/s²] of a tip that slides over a measured relief, its two axes as one signal.
+
+    The relief moves the tip along its normal and along the stroke (`render_motion_axes`, with the same parameters);
+    `fuse_axes` adds their powers, as DFT321 does.
+    """
     return fuse_axes(render_motion_axes(stroke, action, token_index, carriers))
 
 

@@ -178,7 +178,7 @@ class LinearState:
 
 
 class LiveLinearContact:
-    """Linear contact of one material under one probe, evaluated state by state."""
+    """Response of one probe's mass on the spring and damper of one material's contact, evaluated state by state."""
 
     def __init__(self, token: Float, mechanics: Mechanics, probe: Probe, carriers: Carriers) -> None:
         self._of = token, carriers
@@ -464,7 +464,11 @@ class NumpyEmission:
     def _decode(
         self, head: Float, linear: LinearState | None, time_power: Float | None, lines: PathLines | None
     ) -> Float:
-        """Return the amplitudes (K,) from the α head's outputs, before the factor for rest and contact."""
+        """Return the carriers' amplitudes (K,) [m/s²] of one state, from what the network's α head returns for it.
+
+        linear is the state of the linear contact, time_power its power in the time bands [(m/s²)²], lines the regular
+        lines along the path; None where the field or the material has none. Rest and lift-off are applied later.
+        """
         config, carriers = self._config, self._carriers
         gains = head[-LINE_GAIN_COUNT:] if config.line_gains else None
         alpha = head[:-LINE_GAIN_COUNT] if config.line_gains else head

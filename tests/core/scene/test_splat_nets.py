@@ -22,7 +22,6 @@ from hnf_core.scene.splats.tsdf import (
     find_nearest_triangles,
     label_components,
 )
-from hnf_core.units import compute_metric_scale
 from reference.geometry import ReferenceGeometry
 
 
@@ -201,34 +200,3 @@ def test_no_faces_no_points_and_no_reach():
     for reach in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(UsageError):
             find_nearest_triangles(np.eye(3), [[0, 1, 2]], np.zeros((1, 3)), reach)
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.tuples(*[st.floats(-100.0, 100.0)] * 3), st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.floats(1e-3, 1e2))
-def test_a_length_in_metres_is_that_length_after_scaling(point, way, length):
-    assume(np.linalg.norm(way) > 1e-2)
-    a, b = np.array(point), np.array(point) + np.array(way)
-    scale = compute_metric_scale(a, b, length)
-    assert np.linalg.norm(b * scale - a * scale) == pytest.approx(length, rel=1e-9)
-    assert compute_metric_scale(b, a, length) == scale
-    assert compute_metric_scale(2.0 * a, 2.0 * b, length) == pytest.approx(scale / 2.0, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("a", "b", "length"),
-    [
-        ([0, 0, 0], [0, 0, 0], 1.0),
-        ([1e6, 0, 0], [1e6 + 1e-3, 0, 0], 1.0),
-        ([0, 0, 0], [1, 0, 0], 0.0),
-        ([0, 0, 0], [1, 0, 0], -1.0),
-        ([0, 0, 0], [1, 0, 0], np.nan),
-        ([0, 0, 0], [1, 0, 0], 1e9),
-        ([0, 0, 0], [1e-8, 0, 0], 1.0),
-        ([0, 0, 0], [1e9, 0, 0], 1.0),
-        ([0, 0, np.nan], [1, 0, 0], 1.0),
-        ([0, 0], [1, 0], 1.0),
-    ],
-)
-def test_a_length_that_says_nothing_is_refused(a, b, length):
-    with pytest.raises(UsageError):
-        compute_metric_scale(a, b, length)

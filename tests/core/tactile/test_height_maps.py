@@ -10,6 +10,7 @@ from hnf_core.errors import MaterialError, SceneError, UsageError
 from hnf_core.tactile.height import (
     ROLL_OFF,
     fill_masked,
+    has_flipped_green,
     height_from_slopes,
     integrate_gradients,
     low_pass,
@@ -200,3 +201,13 @@ def test_outside_the_map_the_edge_is_held_or_the_map_mirrored():
     assert held[0] == pytest.approx(held[1])
     with pytest.raises(MaterialError):
         sample_height(unresolved_tactile_map((16, 16), PITCH), edge)
+
+
+def test_curl_tells_which_way_green_points():
+    height = np.random.default_rng(0).standard_normal((64, 64))
+    for _ in range(3):
+        height = (height + np.roll(height, 1, 0) + np.roll(height, 1, 1) + np.roll(height, -1, 0)) / 4
+    gx, gy = np.gradient(height, axis=1), -np.gradient(height, axis=0)
+    everywhere = np.ones((64, 64), dtype=bool)
+    assert not has_flipped_green(gx, gy, everywhere)
+    assert has_flipped_green(gx, -gy, everywhere)
