@@ -718,14 +718,10 @@ def _integrate_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, not
     """Return the height (H, W) [m] whose slopes relative to the smooth surface are those of the normal maps."""
     factors = _judge_normals(rendered, layers, mask, notes)
 
-    def compute_slope(axis: int) -> Float | None:
-        return mix_closures(
-            layers, rendered.passes, lambda closure: _compute_slope(rendered, closure.micro, axis, factors)
-        )
-
-    gx, gy = compute_slope(0), compute_slope(1)
-    if gx is None or gy is None:
+    slopes = mix_closures(layers, rendered.passes, lambda closure: _compute_slopes(rendered, closure.micro, factors))
+    if slopes is None:
         return np.zeros(mask.shape)
+    gx, gy = slopes[..., 0], slopes[..., 1]
     valid = mask & np.isfinite(gx) & np.isfinite(gy)
     if not valid.any():
         notes.append(
@@ -761,23 +757,25 @@ def _judge_normals(rendered: _RenderedPatch, layers: Layers, mask: Mask, notes: 
     return factors
 
 
-def _compute_slope(rendered: _RenderedPatch, micro: MicroGeometry, axis: int, factors: Mapping[Slopes, Float]) -> Float:
-    """Return the slope ∂h/∂x (axis 0) or ∂h/∂y (axis 1) of a closure (BSDF) in the patch's frame, (H, W).
+def _compute_slopes(rendered: _RenderedPatch, micro: MicroGeometry, factors: Mapping[Slopes, Float]) -> Float:
+    """Return the slopes ∂h/∂x and ∂h/∂y of a closure (BSDF) in the patch's frame, (H, W, 2).
 
-    It is 0 without a normal map.
+    They are 0 without a normal map.
     """
-    total = np.zeros((rendered.camera.height, rendered.camera.width))
+    total = np.zeros((rendered.camera.height, rendered.camera.width, 2))
+    if not micro.slopes:
+        return total
     smooth = rendered.normal
     frame = rendered.patch.x_axis - smooth * (smooth @ rendered.patch.x_axis)[..., None]
     length = np.linalg.norm(frame, axis=-1, keepdims=True)
     x_axis = frame / np.where(length > 0.0, length, 1.0)
-    tangent = x_axis if axis == 0 else np.cross(smooth, x_axis)
+    tangents = x_axis, np.cross(smooth, x_axis)
     for slopes in micro.slopes:
         normal = slopes.tap.read(rendered.passes) @ rendered.isolated.rigid[:3, :3]
         normal_part = np.sum(normal * smooth, axis=-1)
-        tangent_part = np.sum(normal * tangent, axis=-1)
-        slope = np.clip(tangent_part / np.where(normal_part > 0.05, normal_part, np.nan), -10.0, 10.0)
-        factor = factors.get(slopes)
-        # A factor of 0 also drops what is no number.
-        total = total - (slope if factor is None else np.where(factor == 0.0, 0.0, slope * factor))
+        divisor, factor = np.where(normal_part > 0.05, normal_part, np.nan), factors.get(slopes)
+        for axis, tangent in enumerate(tangents):
+            slope = np.clip(np.sum(normal * tangent, axis=-1) / divisor, -10.0, 10.0)
+            # A factor of 0 also drops what is no number.
+            total[..., axis] -= slope if factor is None else np.where(factor == 0.0, 0.0, slope * factor)
     return total

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -157,7 +158,7 @@ class Counts:
 
 @dataclass
 class Report:
-    """Report of a run, written after every stroke, so that it is correct if the run is stopped.
+    """Report of a run, written on the way, so that it is correct if the run is stopped.
 
     Attributes
     ----------
@@ -205,6 +206,38 @@ class Report:
     def write(self, folder: Path) -> None:
         """Write report.json into a folder."""
         write_text(folder / REPORT_NAME, self.as_json())
+
+
+WRITE_SHARE = 0.05
+"""Share of a run's time that reports written on the way may take; one of a thousand strokes takes seconds."""
+
+
+class ReportWriter:
+    """Writes a run's report to a folder on the way, so that it is correct if the run is killed.
+
+    A stroke or picture that the last report before that does not list is made again by the next run.
+
+    Parameters
+    ----------
+    report : Report
+        Report, which grows.
+    folder : Path
+        Folder to write it to.
+    clock : callable, optional
+        Function that returns the time [s].
+    """
+
+    def __init__(self, report: Report, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self._report, self._folder, self._clock, self._due_s = report, folder, clock, -math.inf
+
+    def write(self) -> None:
+        """Write the report, unless reports would then take more than WRITE_SHARE of the time."""
+        started_s = self._clock()
+        if started_s < self._due_s:
+            return
+        self._report.write(self._folder)
+        ended_s = self._clock()
+        self._due_s = ended_s + (ended_s - started_s) / WRITE_SHARE
 
 
 def _replace_non_finite(value: Any) -> Any:

@@ -45,7 +45,7 @@ from .baked_stroke import BakedStroke
 from .output_files import PendingPicture, prepare_picture, save_baked_blend, write_picture, write_stroke_wav
 from .overview import StrokeCameras, StrokeViews
 from .query import add_queries, carry_over_strokes, format_query_line, run_queries, skip_strokes
-from .report import REPORT_NAME, Failed, Report, Skipped, StrokeReport, add_option_hint, format_lost_note
+from .report import REPORT_NAME, Failed, Report, ReportWriter, Skipped, StrokeReport, add_option_hint, format_lost_note
 from .session import GatheredJobs, Session, StrokeJob, gather_jobs
 from .synthesise import bake_strokes, record_time, synthesise_stroke
 
@@ -234,7 +234,7 @@ def touch_strokes(
     source : str
         Hash of the scene's files.
     report : Report
-        Report to fill in; it is written to the folder after every stroke.
+        Report to fill in; it is written to the folder on the way.
     progress : ProgressCallback, optional
         Called before each stroke, patch and stage.
     """
@@ -262,13 +262,13 @@ def touch_strokes(
     # Boxes and hashes for the pictures are read before tokens are stored, after which Blender evaluates meshes anew.
     with StrokeViews(session.scene, session.depsgraph, session.metres_per_unit, report.counts, source) as views:
         pictures: list[PendingPicture] = []
-        reported_done = 0
+        writer, reported_done = ReportWriter(report, folder), 0
 
         def write_and_report(state: Progress) -> None:
             nonlocal reported_done
             if state.done != reported_done:
                 reported_done = state.done
-                report.write(folder)
+                writer.write()
             progress(state)
 
         def on_stroke(job: StrokeJob, baked: BakedStroke, start_stage: Callable[[str], None]) -> None:
@@ -291,7 +291,7 @@ def touch_strokes(
                     session.scene.hnf.metres_per_unit = session.metres_per_unit
                 save_baked_blend(baked_path)
                 report.source = source
-        _draw_pictures(session, due, views, report, progress)
+        _draw_pictures(session, due, views, report, writer, progress)
     _note_missing_pictures(report, draws)
     report.left_over = find_orphaned_files(
         previous, folder, report.scene, report.strokes, {failed.stroke for failed in report.failed}
@@ -412,23 +412,21 @@ def _find_due_pictures(pictures: Sequence[PendingPicture], views: StrokeViews, r
     return sorted(due, key=lambda each: first[id(each.cameras.shared or each)])
 
 
-REPORT_PERIOD_S = 1.0
-"""Shortest time between two reports that are written while pictures are drawn [s]: a picture missing in it is drawn
-again by the next run, and a report of a thousand strokes takes longer to write than a picture to draw."""
-
-
 def _draw_pictures(
-    session: Session, due: Sequence[_DuePicture], views: StrokeViews, report: Report, progress: ProgressCallback
+    session: Session,
+    due: Sequence[_DuePicture],
+    views: StrokeViews,
+    report: Report,
+    writer: ReportWriter,
+    progress: ProgressCallback,
 ) -> None:
     """Draw pictures of strokes whose WAVs are written; one that fails is listed in the report."""
-    folder, written = session.request.folder, time.monotonic()
+    folder = session.request.folder
     index = {stroke.name: number for number, stroke in enumerate(report.strokes)}
     for done, each in enumerate(due):
         name = each.picture.job.name
         progress(Progress(f"{name}: picture", done, len(due)))
-        if time.monotonic() - written > REPORT_PERIOD_S:
-            report.write(folder)
-            written = time.monotonic()
+        writer.write()
         try:
             with record_time(report, "picture_s"):
                 view, notes = views.render_stroke(each.cameras)

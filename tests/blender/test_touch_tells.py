@@ -14,7 +14,7 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.cli import main
 from hnf_blender.touch import output_files
-from hnf_blender.touch.report import Report
+from hnf_blender.touch.report import REPORT_NAME, WRITE_SHARE, Report, ReportWriter
 from hnf_blender.touch.run import format_closing
 from hnf_core.cli.commands import get_command_prefix
 from hnf_core.export.wav import read_wav
@@ -105,3 +105,23 @@ def test_a_picture_does_not_deny_an_unread_relief(stroke_properties, tmp_path, m
     denied = "no bump, normal or displacement in the shader" in facts["Height"]
     assert denied == (picture == "none")
     assert ("shows no relief that can be read" in facts["Height"]) == (picture == "grey")
+
+
+def test_a_report_on_the_way_takes_a_small_share_of_time(tmp_path) -> None:
+    now_s = 0.0
+
+    def tell_time() -> float:  # each look at it takes 0.1 s, and so does each report
+        nonlocal now_s
+        now_s += 0.1
+        return now_s
+
+    report = Report("scene.blend", 1.0, "its unit scale")
+    writer, written, looks = ReportWriter(report, tmp_path, tell_time), [], 1000
+    for number in range(looks):
+        report.warnings = [str(number)]
+        writer.write()
+        told = (tmp_path / REPORT_NAME).read_text(encoding="utf-8")
+        if not written or written[-1] != told:
+            written.append(told)
+    assert '"0"' in written[0]  # the first at once
+    assert 0.8 < 0.1 * len(written) / (WRITE_SHARE * now_s) <= 1.0 + 0.1 / (WRITE_SHARE * now_s)
