@@ -160,3 +160,7 @@ def _register_properties() -> None:
         from . import props
 
         props.register()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

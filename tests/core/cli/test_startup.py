@@ -2,6 +2,8 @@
 
 import os
 import shlex
+import subprocess
+import sys
 
 import pytest
 
@@ -18,6 +20,11 @@ def test_telling_what_there_is_loads_no_numpy(words):
     assert run.heavy_packages == ()
     assert [name for name in run.modules if name.startswith("hnf_core.") and not is_word(name)] == []
     assert run.output.startswith(("usage: hnf", "hnf "))
+
+
+def test_the_module_of_the_command_can_be_run():
+    words = [sys.executable, "-m", "hnf_blender.cli", "--version"]
+    assert subprocess.run(words, capture_output=True, text=True, timeout=60, check=True).stdout.startswith("hnf ")
 
 
 def is_word(module: str) -> bool:
