@@ -57,7 +57,10 @@ def concatenate_hits(parts: list[ClosestPoints]) -> ClosestPoints:
 
 
 def _select_near_triangles(points: Float, corners: Float, centre: Float) -> Int:
-    """Return the indices of the triangles that may contain the nearest point of any of points (n, 3)."""
+    """Return the indices of the triangles that may contain the nearest point of any of points (n, 3).
+
+    corners (m, 3, 3) and centre (m, 3) are those of the m triangles.
+    """
     if len(corners) <= _BOUND_SAMPLES:
         return np.arange(len(corners), dtype=np.intp)
     sampled = centre[:: len(centre) // _BOUND_SAMPLES + 1]

@@ -152,7 +152,10 @@ def sample_candidates(mesh: TriangleMesh, slot: int) -> tuple[Float, Float, Floa
 
 
 def _find_face_centres(mesh: TriangleMesh, chosen: NDArray[np.intp], area: Float) -> tuple[NDArray[np.intp], Float]:
-    """Return for the largest polygons the triangle that contains the centre, and barycentric weights in it."""
+    """Return the centers of the largest polygons: for each a triangle (m,), and barycentric weights (m, 3) in it.
+
+    chosen: (n,) the triangles that may be used. area: (n,) their areas [m²]. m is at most LARGEST_FACE_COUNT.
+    """
     face = mesh.face[chosen]
     size = np.bincount(face, weights=area)
     largest = np.argsort(-size, kind="stable")[:LARGEST_FACE_COUNT]

@@ -161,7 +161,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _run_stimuli(arguments: argparse.Namespace) -> int:
-    """Run `hnf study stimuli`; return the exit code. Raises HnfError."""
+    """Run `hnf study stimuli`, which writes pieces of recorded textures and our synthesis of the same strokes as WAVs.
+
+    Return the exit code. Raises HnfError.
+    """
     from ..datasets.registry import open_dataset
     from ..study.plan import write_stimuli
 

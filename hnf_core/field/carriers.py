@@ -258,7 +258,7 @@ class Carriers:
 
 @lru_cache(maxsize=CACHED_TIME_BLOCKS)
 def _time_wave(carriers: Carriers, seed: int, block: int) -> Float:
-    """Return the windowed waves (Kt, TIME_BLOCK) of one noise block of the time carriers."""
+    """Return one windowed block (Kt, TIME_BLOCK) of the time carriers: noise bands fixed in time, not in arc length."""
     return _apply_window(carriers.time_block_spectra(seed, block), TIME_BLOCK)
 
 

@@ -299,7 +299,11 @@ def _compute_scale(condition: Condition, moving: Float) -> Float:
 def _separate_threads(
     condition: Condition, rows: NDArray[np.intp], mechanics: Mechanics
 ) -> Iterator[tuple[NDArray[np.intp], Mechanics]]:
-    """Yield those of a material's states whose threads are noise, and those whose threads are tones, without them."""
+    """Yield states of one material with the mechanics for their noise, split by how a finger feels the cloth's threads.
+
+    Where the threads are a tone (`find_thread_lines`), the mechanics have no threads; elsewhere they are part of the
+    noise. rows: (n,) states on the material.
+    """
     lines, probe = condition.lines, get_probe(condition.probe)
     has_tones = np.zeros(len(rows), dtype=bool)
     if lines is not None and probe.pad is not None and len(rows):

@@ -234,8 +234,8 @@ def _spread_over_wavenumbers(power: Float, position: Float) -> Float:
 def _angular_density(two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float) -> Float:
     """Compute the distribution (ANGLES, n, bands) of a band's power over wave angles, positive, mean about 1.
 
-    A truncated Fourier series of the two- and four-fold moments, blended with narrow peaks along the axis and across
-    where the four-fold moment is large.
+    A truncated Fourier series of the two- and four-fold moments (n, bands), blended with narrow peaks along `axis`
+    (n, bands) [rad] and across it where the four-fold moment is large; `along` is the share of the former, 0 to 1.
     """
     oriented = np.square(np.clip(np.abs(four), 0.0, 1.0))
     angle = GRID_ANGLES[:, None, None]

@@ -335,7 +335,11 @@ PRINT_KINDS = ("stripes", "dots", "clouds")
 
 @dataclass(frozen=True)
 class AppearanceRanges:
-    """Ranges of pattern strengths in a material category; `dyed` and `printed` are fractions of its surfaces."""
+    """Ranges from which the look of a random surface of one category is drawn, such as wood or fabric.
+
+    `dyed` and `printed` are the probabilities that a surface has a color of its own and a printed pattern. The others
+    are the least and the greatest strength of a mark in its color, 0 (none) to 1.
+    """
 
     dyed: float
     dirt: Range = (0.0, 0.9)

@@ -163,7 +163,10 @@ def _compute_response_table(mechanics: Mechanics, probe: Probe, level: int) -> F
 
 
 def compute_causal_response(mechanics: Mechanics, probe: Probe, force: float) -> Float:
-    """Compute the causal impulse response (TAIL_SAMPLES,) of acceleration to pressing, at a load `force` [N]."""
+    """Compute the causal response (TAIL_SAMPLES,) of acceleration to an impulse of the pressing force, [m/s² per N].
+
+    force: load about which the contact's stiffness is linearized [N].
+    """
     frequency = np.fft.rfftfreq(RESPONSE_PERIOD, 1.0 / MODEL_RATE_HZ)
     periodic = np.fft.irfft(
         force_response(frequency, mechanics, probe, force) * _minimum_phase_taper(), RESPONSE_PERIOD

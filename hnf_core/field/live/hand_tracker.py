@@ -162,7 +162,7 @@ class HandTracker:
         return LiveState(self._direction, speed, self._place - from_m, force, True, material)
 
     def _restart(self) -> None:
-        """Forget all events, which do not belong to the motion after a jump or a new touch."""
+        """Forget the events of the hand so far: after a jump or a new touch another motion begins."""
         for history in (self._events, self._velocities, self._forces):
             history.clear()
 
