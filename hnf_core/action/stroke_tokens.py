@@ -255,7 +255,7 @@ BRIEF_S, LONG_S, GAP_S = 0.5, 2.0, 1.0
 NO_MOTION = "it says no motion", "Begin with scrape or rub, or give a direction: left to right."
 _ARTICLES = {"a", "an", "the", "its", "my", "your"}
 
-_DIGITS = r"(?:[0-9]+(?:\.[0-9]+)?|\.[0-9]+)"
+_DIGITS = r"(?:[0-9]+(?:\.[0-9]+)?|\.[0-9]+)(?:e[-+]?[0-9]+)?"
 _S = "(?:s|secs?|seconds?)"
 _LENGTHS = (
     ("mm|milli ?met(?:er|re)s?", 1e3), ("cm|centi ?met(?:er|re)s?", 1e2), ("m|met(?:er|re)s?", 1.0),

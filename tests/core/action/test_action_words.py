@@ -69,13 +69,14 @@ numbers = st.tuples(st.floats(*FORCE_LIMITS_N), st.floats(*SPEED_LIMITS_M_S), st
 
 
 @given(
-    numbers, st.sampled_from(["N", "mN", " newtons"]), st.sampled_from(["m/s", "cm/s", " mm/s", " metres per second"])
-)
-def test_numbers_and_units_are_what_they_say(values, force_unit, speed_unit):
+    numbers, st.sampled_from(["N", "mN", " newtons"]), st.sampled_from(["m/s", "cm/s", " mm/s", " metres per second"]),
+    st.sampled_from([".12f", ".12e"]),
+)  # fmt: skip
+def test_numbers_and_units_are_what_they_say(values, force_unit, speed_unit, form):
     force, speed, angle = values
     per_n = 1e3 if "mN" in force_unit else 1.0
     per_m = {"m/s": 1.0, "cm/s": 1e2, " mm/s": 1e3, " metres per second": 1.0}[speed_unit]
-    words = f"scrape {force * per_n:.12f}{force_unit}, {speed * per_m:.12f}{speed_unit}, {angle:.9f}°"
+    words = f"scrape {force * per_n:{form}}{force_unit}, {speed * per_m:{form}}{speed_unit}, {angle:.9f}°"
     primitive = parse_stroke(words)
     assert primitive.force == pytest.approx(force, rel=1e-8)
     assert primitive.speed == pytest.approx(speed, rel=1e-8)
@@ -145,6 +146,7 @@ def test_directions(words, direction):
         ("scrape 2 kN", "'2' has no unit", ""),
         ("scrape -1 N", "'-1 N' is negative", "Give a positive force"),
         ("scrape 0 N", "0 N is no stroke", "Give 0.01 to 20 N"),
+        ("scrape 1e-6 N", "1e-06 N is no stroke", "Give 0.01 to 20 N"),
         ("scrape 40 N", "40 N is no stroke", "Give 0.01 to 20 N"),
         ("scrape 3 m/s", "3 m/s is no stroke", "Give 0.001 to 1 m/s"),
         ("scrape " + "9" * 400 + " degrees", "is no number of a stroke", ""),
