@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hnf_core.action import primitive_path
 from hnf_core.action.primitive_path import make_path_curve, make_primitive_action, make_primitive_path
 from hnf_core.action.primitives import HARD_N, PRIMITIVE_NAMES, PRIMITIVES, SOFT_N
 from hnf_core.errors import UsageError
@@ -94,3 +95,15 @@ def test_bad_requests_are_named():
         make_primitive_path("rub-slow", size_m=0.0)
     with pytest.raises(UsageError, match="cannot fit"):
         make_primitive_path("rub-slow", size_m=float("nan"))
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.floats(0.03, 1.5), st.floats(0.02, 0.1), st.integers(0, 2**32 - 1))
+def test_an_estimated_length_leaves_a_rub_as_it_is(distance, extent, seed):
+    def make_points():
+        return primitive_path.make_rub_points(distance, extent, np.random.default_rng(seed))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(primitive_path, "ESTIMATE_ERROR", np.inf)  # every number of rounds is measured
+        plain = make_points()
+    np.testing.assert_array_equal(make_points(), plain)
