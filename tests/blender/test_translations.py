@@ -102,7 +102,7 @@ def test_why_a_button_is_grey_is_said_in_german(monkeypatch) -> None:
     """Blender would show the English that poll() gives it."""
     from types import SimpleNamespace
 
-    from hnf_blender.ops import context as greyed
+    from hnf_blender.ops import operator_base as greyed
     from hnf_blender.ops.stroke_ops import poll_object_mode
 
     monkeypatch.setattr(greyed, "tr", lambda text: GERMAN[text])

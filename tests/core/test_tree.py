@@ -9,6 +9,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -184,6 +185,47 @@ def defines(file: Path, name: str) -> bool:
     return False
 
 
+def imports_what_is_not_there(path: Path, tree: ast.Module) -> list[str]:
+    """Imports inside of functions fail only where they run: a move would be noticed minutes later."""
+    found = []
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.ImportFrom) or node.level or not node.module or node.module == "hnf_core":
+            continue
+        top = node.module.partition(".")[0]
+        if top not in OWN_ROOTS:
+            continue
+        file = own_module(node.module)
+        there = set() if file is None else names_in(file)
+        found += [
+            f"line {node.lineno}: {node.module}.{each.name}"
+            for each in node.names
+            if each.name not in there and own_module(f"{node.module}.{each.name}") is None
+        ]
+    return found
+
+
+OWN_ROOTS = {"hnf_core": ROOT, "hnf_blender": ROOT, "hnf_lab": ROOT / "tools"}
+
+
+def own_module(name: str) -> Path | None:
+    place = OWN_ROOTS[name.partition(".")[0]].joinpath(*name.split("."))
+    return next((file for file in (place.with_suffix(".py"), place / "__init__.py") if file.is_file()), None)
+
+
+@lru_cache
+def names_in(file: Path) -> set[str]:
+    """All names that a module binds, wherever it does."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add(node.id)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            names |= {each.asname or each.name for each in node.names}
+    return names
+
+
 def breaches(rule: Rule, *folders: Path) -> list[str]:
     return [
         f"{path.relative_to(ROOT)} {found}"
@@ -204,6 +246,7 @@ def breaches(rule: Rule, *folders: Path) -> list[str]:
         (asks_for_the_version, (BRIDGE,)),
         (is_called_back_by_a_property, (BRIDGE,)),
         (names_what_the_addon_lacks, (ROOT / "tests" / "app",)),
+        (imports_what_is_not_there, (ROOT / "tests", ROOT / "tools", ROOT / "examples")),
     ],
 )
 def test_no_file_breaks_the_rule(rule: Rule, folders: tuple[Path, ...]) -> None:
@@ -236,6 +279,9 @@ def test_no_file_breaks_the_rule(rule: Rule, folders: tuple[Path, ...]) -> None:
         (names_what_the_addon_lacks, "x.py", 'ours("bridge.scene.stored_data").get_artist_choice(1)'),
         (names_what_the_addon_lacks, "x.py", 'state = ours("compat")\nstate.no_such_name'),
         (names_what_the_addon_lacks, "x.py", 'ours("bridge.no_such_module")'),
+        (imports_what_is_not_there, "x.py", "def f():\n    from hnf_blender.ops import no_such_module"),
+        (imports_what_is_not_there, "x.py", "from hnf_core.units import no_such_name"),
+        (imports_what_is_not_there, "x.py", "from hnf_lab.no_such_package.x import y"),
     ],
 )
 def test_the_rule_catches_a_breach(rule: Rule, where: str, source: str) -> None:
