@@ -279,7 +279,7 @@ def _draw_view(
     The view is as large as fits above the text.
     """
     left, top, width, line = LEFT_MARGIN, 0.915, 0.475, 0.025
-    row_length = 82 if tactile is None else 56
+    row_length = 82 if tactile is None else 50
     rows = wrap_lines(lines, row_length, MAX_FACT_ROWS)
     below = max(line * len(rows), 0.0 if tactile is None else MAP_WIDTH * SIZE_PX[0] / SIZE_PX[1] + 2 * line)
     bottom = top

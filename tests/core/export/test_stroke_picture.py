@@ -174,6 +174,22 @@ def test_a_tactile_map_is_shown_beside_the_facts(tmp_path: Path, route: Route) -
     assert np.sum(np.abs(blank - [red, green, blue]).max(axis=2) < 0.02) == 0
 
 
+def test_facts_end_before_the_tactile_map(tmp_path: Path) -> None:
+    tactile = TactileMap(
+        np.full((64, 64, 3), 0.5, np.float32), None, np.ones((64, 64), bool), 312.5e-6, "gelsight", 625e-6,
+        Route.PREDICTED,
+    )  # fmt: skip
+    likely = "wood Brown on SheenChair_wood: oak-wood 28%, varnished-wood 23%, painted-wood 16% (roughness 0.41 fits). "
+    for name, material in (("short.png", "wood"), ("long.png", 2 * likely)):
+        write_stroke_figure(
+            tmp_path / name, title="A", action=action(), signal=signal(), view=view(), tactile=make_thumbnail(tactile),
+            facts={"Material": material},
+        )  # fmt: skip
+    short, long = pixels(tmp_path / "short.png"), pixels(tmp_path / "long.png")
+    assert not np.array_equal(short[600:, 176:635], long[600:, 176:635])
+    np.testing.assert_array_equal(short[600:, 636:802], long[600:, 636:802])
+
+
 def words_of(monkeypatch: pytest.MonkeyPatch, facts: dict[str, str]) -> str:
     """All that a picture with facts says beside its axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
