@@ -292,7 +292,10 @@ class StrokeViews:
         return overview, "" if camera_view is own else "what stands before it is cut away in its picture."
 
     def _cut_by_look(self, camera_view: CameraView) -> Camera | None:
-        """Return a camera that is clipped if a small quick render shows an obstacle before the path, else None."""
+        """Return the camera with its near clipping plane moved past what hides the path; None if nothing does.
+
+        A small quick render tells, which misses what lies within some of its wide pixels of the path.
+        """
         camera = resize_camera(camera_view.camera, LOOK_WIDTH)
         depth = self._get_overviews().measure_depth(camera, self._list_objects(camera_view))
         if mask_visible_points(camera, depth, camera_view.path).mean() >= MIN_VISIBLE_FRACTION:
