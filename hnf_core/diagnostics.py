@@ -89,13 +89,13 @@ def describe_field() -> str:
 
 def hash_data_files() -> tuple[Fact, ...]:
     """Return content hashes of the material library and the diffusion weights; "not there" if a file is missing."""
-    from .files import content_hash
+    from .files import hash_file
     from .material.library import LIBRARY_PATH
     from .tactile.unet import DEFAULT_WEIGHTS
 
     def hash_of(path: Path) -> str:
         try:
-            return content_hash(path.read_bytes())
+            return hash_file(path)
         except OSError as error:
             return f"not there ({error.strerror}): {path}"
 

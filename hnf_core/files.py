@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import FileError
+from .progress import add_work
 
 
 def _read_umask() -> int:
@@ -144,6 +145,12 @@ def content_hash(*parts: bytes | str) -> str:
         digest.update(len(data).to_bytes(8, "little"))
         digest.update(data)
     return digest.hexdigest()
+
+
+def hash_file(path: Path) -> str:
+    """Return the `content_hash` of a file; raises OSError if it cannot be read."""
+    add_work("hashed_files", item=str(path))
+    return content_hash(path.read_bytes())
 
 
 LOCK_NAME = ".hnf-lock"

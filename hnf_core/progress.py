@@ -133,7 +133,8 @@ WorkKind = Literal[
 - splats: splats whose color is evaluated for a view.
 - reconstructions: splats from which a surface is reconstructed.
 - threads: threads that are requested for a part of the work.
-- hashed_files: files hashed for the version or the inputs of a batch job; the item is the path.
+- hashed_files: files read to be hashed, such as the inputs of a batch job, the images of a shader or the signals of an
+  earlier run; the item is the path.
 - meshes: evaluated meshes read from Blender; the item is the object's name.
 - collections: collections of Blender searched for rendered objects; the item is the name.
 - scenes: temporary scenes made in Blender.

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hnf_core import __version__
 from hnf_core.errors import SceneError
 from hnf_core.field.weights import load_field, read_encoders
-from hnf_core.files import content_hash
+from hnf_core.files import content_hash, hash_file
 from hnf_core.material.encoder_registry import Encoder, describe_views, get_default_encoder, get_encoder
 from hnf_core.material.fuse import BAND_COUNT, FusedToken, fuse, fuse_measured_over_predicted
 from hnf_core.material.hnf_file import MaterialFile
@@ -191,7 +191,7 @@ def _load_weights(path: Path, content: str) -> MapWeights:
 
 @lru_cache(maxsize=4)
 def _hash_file(path: Path, modified_ns: int, size: int) -> str:
-    return content_hash(path.read_bytes())
+    return hash_file(path)
 
 
 PATCH_PIXELS = 512

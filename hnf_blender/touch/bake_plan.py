@@ -21,8 +21,9 @@ import numpy as np
 from hnf_core.action.contacts import Contacts
 from hnf_core.action.stroke_placement import sample_candidates, smooth_for_placement
 from hnf_core.errors import HnfError, pluralize
-from hnf_core.files import content_hash
+from hnf_core.files import content_hash, hash_file
 from hnf_core.material.hnf_file import MaterialFile
+from hnf_core.progress import add_work
 from hnf_core.scene.camera import Patch
 from hnf_core.scene.mesh import has_fine_faces
 from hnf_core.tactile.tactile_map import Route
@@ -82,6 +83,7 @@ def hash_source_files(scene: Path, external_files: Iterable[str]) -> str:
     Returns "" if one of them cannot be read.
     """
     try:
+        add_work("hashed_files", item=str(scene))
         with scene.open("rb") as stream:
             scene_hash = hashlib.file_digest(stream, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
         stats = [(name, Path(name).stat()) for name in external_files]
@@ -256,7 +258,7 @@ def _is_intact(entry: StrokeReport, folder: Path) -> bool:
     if Path(entry.wav).name != entry.wav:
         return False
     try:
-        return content_hash((folder / entry.wav).read_bytes()) == entry.wav_hash
+        return hash_file(folder / entry.wav) == entry.wav_hash
     except OSError:
         return False
 

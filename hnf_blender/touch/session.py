@@ -19,7 +19,7 @@ from hnf_core import __version__
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE, Primitive
 from hnf_core.errors import HnfError, SceneError, close_matches, format_choices
 from hnf_core.field.weights import load_field_for_encoders, read_material_file
-from hnf_core.files import content_hash
+from hnf_core.files import content_hash, hash_file
 from hnf_core.material.fuse import HEIGHT_LIMITS_M
 from hnf_core.material.hnf_file import HNF_SUFFIX, MaterialFile
 from hnf_core.material.library import LIBRARY_PATH, get_material, load_library
@@ -347,7 +347,7 @@ class Session:
         self._choices = [
             (resolve_target(scene, choice.target), _resolve_choice(choice.material)) for choice in request.choices
         ]
-        library = content_hash(LIBRARY_PATH.read_bytes())
+        library = hash_file(LIBRARY_PATH)
         self.predictor = ReliefPredictor(request.encoder, request.sensor, request.tactile_map)
         self.field = load_field_for_encoders(
             (self.predictor.measured_encoder.name, self.predictor.predicted_encoder.name)

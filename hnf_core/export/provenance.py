@@ -15,7 +15,7 @@ from typing import Any
 
 from .. import __version__
 from ..errors import FileError
-from ..files import content_hash, escape_surrogates
+from ..files import escape_surrogates, hash_file
 from ..json_io import read_json, write_json
 from ..signal import Signal
 from .envelope import CARRIER_DESCRIPTION, Envelope, render_envelope
@@ -233,7 +233,7 @@ def _describe_file(path: Path, format_name: str, blend: str) -> dict[str, Any]:
     return {
         "schema": SIDECAR_SCHEMA,
         "file": path.name,
-        "hash": content_hash(path.read_bytes()),
+        "hash": hash_file(path),
         "format": format_name,
         "software": SOFTWARE,
         **({"blend": blend} if blend else {}),
@@ -269,7 +269,7 @@ def _read_matching_sidecar(path: Path) -> dict[str, Any]:
     Raises ValueError if it is not, FileError if there is no sidecar, and KeyError or OSError.
     """
     record = read_json(get_sidecar_path(path))
-    if record["hash"] != content_hash(path.read_bytes()):
+    if record["hash"] != hash_file(path):
         raise ValueError("it speaks of other bytes")
     return record
 

@@ -32,6 +32,7 @@ from ..field.weights import load_field
 from ..files import write_bytes, write_text
 from ..json_io import encode_json, load_json, parse_record
 from ..material.ranking import find_material
+from ..progress import add_work
 from ..signal import Signal
 
 SCHEMA = 1
@@ -280,6 +281,7 @@ def load_plan(folder: Path) -> Plan:
         raise FileError("its pairs and stimuli do not match.", where=str(folder / PLAN_NAME), remedy=_CHANGED)
     for stimulus in plan.stimuli:
         path = find_stimulus(folder, stimulus.id)
+        add_work("hashed_files", item=str(path))
         try:
             digest = hashlib.sha256(path.read_bytes()).hexdigest()
         except OSError as error:

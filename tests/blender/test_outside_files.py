@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import bpy
@@ -13,6 +14,7 @@ from hnf_blender.bridge.cycles import make_overview_camera
 from hnf_blender.bridge.lit_render import RenderHashes
 from hnf_blender.bridge.shader.shader_hash import hash_material
 from hnf_blender.touch.bake_plan import list_external_files
+from hnf_core.progress import count_work
 
 
 def test_files_beside_a_scene(tmp_path: Path) -> None:
@@ -60,23 +62,36 @@ def world_of(image) -> None:
     world.node_tree.links.new(node.outputs["Color"], world.node_tree.nodes["Background"].inputs["Color"])
 
 
-def test_a_pictures_key_reads_no_file_and_follows_each(tmp_path: Path, monkeypatch) -> None:
+def replace_content(path: Path) -> None:
+    """Write other bytes in the file, of which only those who read it know."""
+    status, content = path.stat(), path.read_bytes()
+    path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+def test_a_pictures_key_reads_no_file_and_follows_each(tmp_path: Path) -> None:
     """Of a neighbour's texture and of the sky's; what is packed counts by its content."""
     leather, sky = picture(tmp_path / "leather.png"), picture(tmp_path / "sky.png")
     plate = shaded("Beside", leather)
     world_of(sky)
-    read, whole = [], Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda path: (read.append(path), whole(path))[1])
-    first = key_of(plate)
-    assert key_of(plate) == first
-    assert read == []
-    keys = {first}
-    for name in ("leather.png", "sky.png"):
-        (tmp_path / name).write_bytes(whole(tmp_path / name) + b" ")
-        keys.add(key_of(plate))
-    assert read == []
-    hash_material(plate.data.materials[0])  # what is felt follows from the pixels
-    assert read == [tmp_path / "leather.png"]
+    with count_work() as work:
+        first = key_of(plate)
+        assert key_of(plate) == first
+        keys = {first}
+        for name in ("leather.png", "sky.png"):
+            path = tmp_path / name
+            path.write_bytes(path.read_bytes() + b" ")
+            latest = key_of(plate)
+            keys.add(latest)
+            replace_content(path)
+            assert key_of(plate) == latest
+    assert len(keys) == 3
+    assert work.items["hashed_files"] == []
+    with count_work() as work:
+        felt = hash_material(plate.data.materials[0])  # what is felt follows from the pixels
+    assert work.items["hashed_files"] == [str(tmp_path / "leather.png")]
+    replace_content(tmp_path / "leather.png")
+    assert hash_material(plate.data.materials[0]) != felt
     leather.pack()
     keys.add(key_of(plate))
     assert len(keys) == 4

@@ -22,8 +22,8 @@ from touch_scene import (
 
 from hnf_blender.bridge.scene.stored_data import TOKEN_ATTRIBUTE, read_tokens
 from hnf_blender.touch import output_files
-from hnf_blender.touch.bake_plan import PreviousRun
 from hnf_core.export.stroke_figure import write_stroke_figure
+from hnf_core.progress import count_work
 
 
 def rms_of_one(scene, out, *words) -> float:
@@ -339,16 +339,15 @@ def test_the_plan_says_what_and_does_nothing(tmp_path, capsys) -> None:
     assert "Up to date:" in capsys.readouterr().out
 
 
-def test_a_run_reads_earlier_results_once(tmp_path, monkeypatch) -> None:
+def test_a_run_reads_earlier_results_once(tmp_path) -> None:
     ridge_plate()
     line_stroke("Along")
     scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
     assert touch(scene, out)[0] == 0
-    read = []
-    find_fresh = PreviousRun.find_fresh
-    monkeypatch.setattr(PreviousRun, "find_fresh", lambda *given: read.append(1) or find_fresh(*given))
-    code, report = touch(scene, out)
-    assert (code, report["strokes"][0]["fresh"], len(read)) == (0, True, 1)
+    with count_work() as work:
+        code, report = touch(scene, out)
+    assert (code, report["strokes"][0]["fresh"]) == (0, True)
+    assert work.items["hashed_files"].count(str(out / report["strokes"][0]["wav"])) == 1
 
 
 @pytest.mark.parametrize(("height", "unusual"), [(1e-7, True), (60e-6, False), (0.01, True)])

@@ -12,6 +12,7 @@ from typing import Any
 
 from hnf_core.errors import SceneError
 from hnf_core.files import content_hash
+from hnf_core.progress import add_work
 from hnf_core.scene.file_kind import FileKind, identify
 
 from ... import compat
@@ -44,7 +45,8 @@ def get_absolute_path(text: str, library: Any) -> Path:
 
 
 def read_file_bytes(path: Path) -> bytes:
-    """Return the content of a file."""
+    """Return the content of a file that is to be hashed."""
+    add_work("hashed_files", item=str(path))
     return path.read_bytes()
 
 
