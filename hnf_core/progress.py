@@ -121,7 +121,7 @@ class ProgressBar:
 WorkKind = Literal[
     "states", "samples", "sensor_images", "nearest_pairs", "splats", "reconstructions", "threads", "hashed_files",
     "meshes", "collections", "scenes", "caster_triangles", "images", "passes",
-    "patch_files",
+    "patch_files", "tap_spans",
     "close_ups", "renders", "rays", "network_calls", "tokens", "diffusion_calls",
 ]  # fmt: skip
 """Kinds of work that are counted. The last six are those of a report of `hnf touch`.
@@ -142,6 +142,7 @@ WorkKind = Literal[
 - images: images rendered by Blender for close-ups and views; the item is the width in pixels.
 - passes: passes that a close-up is rendered with; the item is the name.
 - patch_files: files of baked patches and predictions opened; the item is the path.
+- tap_spans: spans around fast changes of force, in which the whole contact is integrated; the item is the first state.
 - close_ups: patches rendered.
 - renders: renders of any kind.
 - rays: rays and nearest-point queries.

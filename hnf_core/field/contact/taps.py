@@ -26,6 +26,7 @@ from ...kernel.compiled_carriers import integrate_tap
 from ...kernel.loader import load_kernel
 from ...material.contact_model import Mechanics, surface_stiffness_at_1n, with_defaults
 from ...material.probe import Probe, get_probe
+from ...progress import add_work
 from ..carriers import MODEL_RATE_HZ
 from ..stroke import SAMPLES_PER_STATE, STATE_FRACTIONS, catmull_rom_weights
 from .contact_filter import CACHED_RESPONSES, TAIL_SAMPLES
@@ -411,6 +412,7 @@ class TapRenderer:
 
     def _render_span(self, begin: int, end: int) -> TapResponse:
         """Render the span from state `begin` to state `end`, or to the end of the stroke."""
+        add_work("tap_spans", item=begin)
         stop = min(end, len(self._force) - 1)
         rows = np.clip(np.arange(begin, stop + 1), 0, None)
         # Where a touch begins between two states, its material is that of the second.

@@ -38,6 +38,7 @@ from hnf_core.kernel.loader import load_kernel, why_unavailable, without_kernel
 from hnf_core.material.contact_model import Mechanics, body_response
 from hnf_core.material.library import get_material
 from hnf_core.material.probe import get_probe
+from hnf_core.progress import count_work
 from hnf_core.simulation.contact_dynamics import SmoothedMaps
 from hnf_core.simulation.simulate import Stroke, simulate_batch
 
@@ -267,16 +268,15 @@ def test_a_stroke_in_chunks_is_the_whole_one():
     assert np.std(later - chunks[1]) < 1e-6 * np.std(whole)
 
 
-def test_a_span_is_rendered_once_for_several_chunks(monkeypatch):
+def test_a_span_is_rendered_once_for_several_chunks():
     force = np.where(np.arange(900) % 20 < 10, 1.0, 0.0)
     renderer = TapRenderer((Mechanics(1e5, 0.3, 0.3),), np.zeros(900, np.int32), force, "pen")
-    counts = []
-    rendered = renderer._render_span
-    monkeypatch.setattr(renderer, "_render_span", lambda *span: counts.append(span) or rendered(*span))
-    parts = [renderer.render(start, start + 15_000) for start in (0, 15_000, 30_000)]
-    assert len(counts) == 1
+    with count_work() as work:
+        parts = [renderer.render(start, start + 15_000) for start in (0, 15_000, 30_000)]
+        whole = renderer.render()
+    assert work.amounts["tap_spans"] == [1]
     assert parts[0][0] is parts[1][0] is parts[2][0]
-    assert np.array_equal(renderer.render()[0].samples, parts[0][0].samples)
+    assert np.array_equal(whole[0].samples, parts[0][0].samples)
 
 
 def test_long_spans_are_integrated_in_portions(monkeypatch):
