@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..progress import add_work
 from ..scene.camera import CAMERA_DISTANCE_M
 from ..scene.mesh import TriangleMesh
 from .fourier_filters import apply_filters, evaluate_plane, fit_plane, frequencies
@@ -191,6 +192,7 @@ def compute_mesh_relief(
     MeshRelief or None
         None if the surface is smooth in all waves that its faces hold.
     """
+    add_work("mesh_reliefs")
     pixel_m, step = size_m / depth.shape[1], depth.shape[0] // GRID
     height = np.where(mask, CAMERA_DISTANCE_M - depth, 0.0)
     share = _average_blocks(mask.astype(np.float64), step)

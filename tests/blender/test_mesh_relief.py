@@ -18,6 +18,7 @@ from hnf_blender.bridge.scene.meshes import describe_idle_modifiers
 from hnf_blender.cli import main
 from hnf_core.material.fuse import FROM_MESH
 from hnf_core.material.token import BAND_WAVELENGTHS_M
+from hnf_core.progress import count_work
 from hnf_core.scene.camera import Patch
 from hnf_core.signal import Signal
 
@@ -264,14 +265,13 @@ def test_a_modifier_that_fails_is_named(tmp_path):
     assert notes[0] in report["warnings"]
 
 
-def test_nothing_is_examined_on_a_coarse_mesh(monkeypatch):
-    from hnf_blender.bridge import closeup
-
-    def refuse(*_args, **_options):
-        raise AssertionError("the relief of a coarse mesh was computed")
-
-    monkeypatch.setattr(closeup, "compute_mesh_relief", refuse)
-    assert look_at(add_plane("Plate")).height is None
+def test_nothing_is_examined_on_a_coarse_mesh():
+    with count_work() as work:
+        assert look_at(add_plane("Plate")).height is None
+    assert work.total("mesh_reliefs") == 0
+    with count_work() as work:
+        assert look_at(add_ridges("Mesh", 2e-3, 60e-6)).height is not None
+    assert work.total("mesh_reliefs") > 0
 
 
 def add_ball(name: str, radius: float = 0.05, segments: int = 400, rings: int = 60):
