@@ -121,7 +121,7 @@ class ProgressBar:
 WorkKind = Literal[
     "states", "samples", "sensor_images", "nearest_pairs", "splats", "reconstructions", "threads", "hashed_files",
     "meshes", "collections", "scenes", "caster_triangles", "images", "passes",
-    "patch_files", "tap_spans", "mesh_reliefs",
+    "patch_files", "tap_spans", "mesh_reliefs", "objects",
     "close_ups", "renders", "rays", "network_calls", "tokens", "diffusion_calls",
 ]  # fmt: skip
 """Kinds of work that are counted. The last six are those of a report of `hnf touch`.
@@ -144,6 +144,7 @@ WorkKind = Literal[
 - patch_files: files of baked patches and predictions opened; the item is the path.
 - tap_spans: spans around fast changes of force, in which the whole contact is integrated; the item is the first state.
 - mesh_reliefs: views of a close-up's depth that are examined for the relief of a mesh.
+- objects: objects looked at to list the strokes or surfaces of a scene; the item is the scene's name.
 - close_ups: patches rendered.
 - renders: renders of any kind.
 - rays: rays and nearest-point queries.

@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable, Hashable
 from typing import Any
 
+from hnf_core.progress import add_work
+
 CACHE_LIFETIME_S = 1.0
 """Longest lifetime of a cached result [s], since Blender does not report every change.
 
@@ -62,10 +64,14 @@ class CachedFilter:
         lifetime_s = CACHE_LIFETIME_S if lifetime_s is None else lifetime_s
         changes, cached_at, indices = self._indices.get(scene.name_full, (-1, float("-inf"), ()))
         if CHANGES.is_notified and changes == CHANGES.changes and time.monotonic() - cached_at < lifetime_s:
-            matches = [(index, obj) for index, obj in _fetch_objects(scene.objects, indices) if self._predicate(obj)]
+            fetched = _fetch_objects(scene.objects, indices)
+            add_work("objects", len(fetched), scene.name_full)
+            matches = [(index, obj) for index, obj in fetched if self._predicate(obj)]
             if len(matches) == len(indices):
                 return matches
-        matches = [(index, obj) for index, obj in enumerate(scene.objects) if self._predicate(obj)]
+        objects = scene.objects[:]
+        add_work("objects", len(objects), scene.name_full)
+        matches = [(index, obj) for index, obj in enumerate(objects) if self._predicate(obj)]
         if CHANGES.is_notified:
             self._indices[scene.name_full] = CHANGES.changes, time.monotonic(), tuple(index for index, _ in matches)
         return matches

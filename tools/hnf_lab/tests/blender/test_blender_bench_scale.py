@@ -6,6 +6,7 @@ import bpy
 
 from hnf_blender.bridge.splat_cloud import TOUCHABLE_SURFACES
 from hnf_blender.props.object_cache import STROKES
+from hnf_core.progress import count_work
 from hnf_lab.bench.harness import BenchOptions, run_sizes
 from hnf_lab.blender_bench import scale
 from hnf_lab.blender_bench.scenes import (
@@ -41,27 +42,29 @@ def test_work_follows_what_is_touched(tmp_path):
     assert shared["rays"] < 1.01 * close_up["rays"]
 
 
-def looks_of_a_redraw(monkeypatch, others: int) -> int:
+def looks_of_a_redraw(others: int) -> int:
     """Objects that are looked at while the tab is drawn a second time."""
     open_empty_file()
     add_strokes(2, add_relief_plate(8), apart=False, length_m=0.01)
     add_crowd(others, own_meshes=False)
-    scene, layer, seen = bpy.context.scene, bpy.context.view_layer, []
+    scene, layer = bpy.context.scene, bpy.context.view_layer
     layer.update()
-    for listed in (STROKES, TOUCHABLE_SURFACES):
-        is_one = listed._predicate
-        monkeypatch.setattr(listed, "_predicate", lambda obj, is_one=is_one: seen.append(obj.name) or is_one(obj))
     with register_tab():
-        assert draw_tab(scene, layer) > 10
-        assert len(seen) >= 2 * len(scene.objects)
-        seen.clear()
-        draw_tab(scene, layer)
-    assert set(seen) == {"Stroke 0", "Stroke 1"}
-    return len(seen)
+        with count_work() as work:
+            assert draw_tab(scene, layer) > 10
+        assert work.total("objects") >= 2 * len(scene.objects)
+        with count_work() as work:
+            draw_tab(scene, layer)
+        with count_work() as alone:  # who looks at two objects and finds two strokes has looked at them alone
+            assert [obj.name for obj in STROKES.list_objects(scene)] == ["Stroke 0", "Stroke 1"]
+            assert TOUCHABLE_SURFACES.list_objects(scene) == []
+    assert alone.amounts["objects"] == [2, 0]
+    assert set(work.amounts["objects"]) == {2, 0}
+    return work.total("objects")
 
 
-def test_a_redraw_looks_at_strokes_alone(monkeypatch):
-    assert looks_of_a_redraw(monkeypatch, 1) == looks_of_a_redraw(monkeypatch, 40)
+def test_a_redraw_looks_at_strokes_alone():
+    assert looks_of_a_redraw(1) == looks_of_a_redraw(40)
 
 
 def test_the_cost_of_a_redraw_is_a_line_of_its_own():
