@@ -24,6 +24,7 @@ from hnf_core.files import content_hash, write_bytes
 from hnf_core.material.contact_model import UNKNOWN_MECHANICS, Mechanics
 from hnf_core.material.encoder_registry import Encoder, describe_views
 from hnf_core.material.token import Token
+from hnf_core.progress import add_work
 from hnf_core.safetensors_io import dump_tensors, load_tensors
 from hnf_core.simulation.appearance import interpolate_bilinear
 from hnf_core.simulation.material_classes import get_category
@@ -263,8 +264,9 @@ def predict_tile(weights: MapWeights, tile: HeldOutTile, query: Query, seed: int
         return predict_slopes(weights, view, query.sensor, noise_seed, query.steps, query.guidance, query.colour)
 
     def compute_arrays() -> Arrays:
-        start = time.process_time()
-        with single_blas_thread(), ThreadPoolExecutor(available_cpus()) as pool:
+        start, threads = time.process_time(), available_cpus()
+        add_work("threads", threads)
+        with single_blas_thread(), ThreadPoolExecutor(threads) as pool:
             slopes = list(pool.map(predict_view, range(*query.views)))
         return {
             "slopes": np.stack(slopes).astype(np.float16),

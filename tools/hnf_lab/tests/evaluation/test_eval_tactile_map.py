@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +26,7 @@ from hnf_core.field.weights import load_field
 from hnf_core.material.encoder_registry import get_encoder
 from hnf_core.material.library import get_material
 from hnf_core.material.token import ENCODER_ID, LEVELS, TOKEN_DIM, Token
+from hnf_core.progress import count_work
 from hnf_core.signal import Signal
 from hnf_core.tactile.unet import DIFFUSION, REGRESSION, MapConfig, load_map_weights, save_map_weights
 from hnf_core.tactile.views import AppearanceView
@@ -362,19 +362,12 @@ def test_the_curve_is_that_of_the_diffusion_wherever_it_stands(weights) -> None:
 
 
 def test_no_more_threads_are_asked_than_this_process_may_use(weights, tile, tmp_path, monkeypatch) -> None:
-    sizes: list[int] = []
-
-    class Pool(ThreadPoolExecutor):
-        def __init__(self, workers: int) -> None:
-            sizes.append(workers)
-            super().__init__(workers)
-
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 5}, raising=False)
-    monkeypatch.setattr(predictions, "ThreadPoolExecutor", Pool)
     network = load_map_weights(weights / f"{REGRESSION}.safetensors")
-    predictions.predict_tile(network, tile, predictions.Query(views=(0, 1)), 0, ArrayCache(tmp_path))
-    assert sizes == [2]
+    with count_work() as work:
+        predictions.predict_tile(network, tile, predictions.Query(views=(0, 1)), 0, ArrayCache(tmp_path))
+    assert work.amounts["threads"] == [2]
 
 
 def test_without_another_network_there_is_no_row_of_it(weights) -> None:
