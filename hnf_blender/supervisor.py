@@ -11,6 +11,7 @@ import os
 import select
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -56,9 +57,8 @@ def run_supervised(run: Callable[[], int]) -> int:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         return run()
     os.close(writing)
-    for number in forwarded:
-        signal.signal(number, lambda number, frame: _forward(child, forwarded[signal.Signals(number)]))
-    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    # They stay blocked here: a handler would run late if a signal came just before this process begins to wait.
+    threading.Thread(target=_forward_signals, args=(child, forwarded), daemon=True).start()
     path, was_read = _follow_read(reading)
     _, status = os.waitpid(child, 0)
     if os.WIFEXITED(status):
@@ -98,9 +98,11 @@ def _end_with_parent(parent: int) -> None:
         os._exit(1)
 
 
-def _forward(process: int, number: int) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(process, number)
+def _forward_signals(process: int, forwarded: dict[signal.Signals, signal.Signals]) -> None:
+    while True:
+        number = signal.Signals(signal.sigwait(forwarded))
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process, forwarded[number])
 
 
 def _follow_read(pipe: int) -> tuple[str, bool]:
@@ -136,7 +138,8 @@ def _report_signal(number: signal.Signals, path: str, was_read: bool) -> int:
     elif number.name not in CRASHES:
         with contextlib.suppress(OSError):  # of SIGKILL nobody can change what it does
             signal.signal(number, signal.SIG_DFL)
-        os.kill(os.getpid(), number)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {number})
+        signal.raise_signal(number)
         return 1
     elif path and not was_read:
         error = FileError(
