@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from syntax_trees import parse, python_files, read, walk
 
 ROOT = Path(__file__).resolve().parents[2]
 PRODUCT = (ROOT / "hnf_core", ROOT / "hnf_blender")
@@ -47,10 +48,6 @@ CROWDED = 20
 SMALL_LINES, SMALL_SHARE = 60, 0.1
 MAX_TEST_NAME = 60
 DIALECT_STARTS = re.compile(r"(What|Of|Where|Those|That|Whether|How|Which|Whatever|Whoever)\b")
-
-
-def python_files(*folders: Path) -> list[Path]:
-    return sorted(path for folder in folders for path in folder.rglob("*.py") if "__pycache__" not in path.parts)
 
 
 def split_name(name: str) -> list[str]:
@@ -90,7 +87,7 @@ def private_words(tree: ast.Module, module: str) -> list[str]:
 
 def list_docstrings(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """(line, text) of every docstring, and of every note: a string below a constant or a field."""
-    for node in ast.walk(tree):
+    for node in walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             yield getattr(node, "lineno", 1), ast.get_docstring(node) or ""
         body = getattr(node, "body", None)
@@ -108,7 +105,7 @@ def dialect_docstrings(tree: ast.Module, module: str) -> list[str]:
     ]
 
 
-def recurring_names(paths: list[Path]) -> list[str]:
+def recurring_names(paths: Sequence[Path]) -> list[str]:
     seen: dict[str, Path] = {}
     found = []
     for path in paths:
@@ -120,7 +117,7 @@ def recurring_names(paths: list[Path]) -> list[str]:
     return found
 
 
-def crowded_folders(paths: list[Path]) -> list[str]:
+def crowded_folders(paths: Sequence[Path]) -> list[str]:
     counts: dict[Path, int] = {}
     for path in paths:
         counts[path.parent] = counts.get(path.parent, 0) + (path.name != "__init__.py")
@@ -135,7 +132,7 @@ def too_many_small_files(lines: dict[str, int]) -> list[str]:
 def long_test_names(tree: ast.Module) -> list[str]:
     return [
         f"line {node.lineno}: {node.name} ({len(node.name)} characters)"
-        for node in ast.walk(tree)
+        for node in walk(tree)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and node.name.startswith("test_")
         and len(node.name) > MAX_TEST_NAME
@@ -152,8 +149,8 @@ WORD_LISTS = {"name_matching", "stroke_tokens", "material_classes"}
 
 def british_messages(tree: ast.Module, module: str) -> list[str]:
     """Return British spellings in texts of more than a word that are no docstrings and no notes of constants."""
-    notes = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    texts = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
+    notes = {id(node.value) for node in walk(tree) if isinstance(node, ast.Expr)}
+    texts = (node for node in walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
     spoken = (node for node in texts if " " in node.value and id(node) not in notes and module not in WORD_LISTS)
     return [f"line {node.lineno}: {found[0]}" for node in spoken if (found := BRITISH.search(node.value))]
 
@@ -165,7 +162,7 @@ def breaches(rule) -> list[str]:
         f"{path.relative_to(ROOT)} {breach}"
         for path in files
         if "tests" not in path.relative_to(ROOT).parts
-        for breach in rule(ast.parse(path.read_text("utf-8")), path.stem)
+        for breach in rule(parse(read(path)), path.stem)
     ]
 
 
@@ -191,13 +188,13 @@ def test_no_folder_is_crowded() -> None:
 
 def test_few_files_are_small() -> None:
     files = [path for path in python_files(*PRODUCT) if path.name != "__init__.py"]
-    assert too_many_small_files({str(path): len(path.read_text("utf-8").splitlines()) for path in files}) == []
+    assert too_many_small_files({str(path): len(read(path).splitlines()) for path in files}) == []
 
 
 def test_test_names_are_short() -> None:
     files = python_files(*TESTS)
     assert len(files) > 300
-    found = {str(path.relative_to(ROOT)): long_test_names(ast.parse(path.read_text("utf-8"))) for path in files}
+    found = {str(path.relative_to(ROOT)): long_test_names(parse(read(path))) for path in files}
     assert {path: names for path, names in found.items() if names} == {}
 
 

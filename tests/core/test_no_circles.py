@@ -11,6 +11,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+from syntax_trees import parse, read, walk
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("hnf_core", "hnf_blender")
@@ -19,7 +20,7 @@ PACKAGES = ("hnf_core", "hnf_blender")
 def modules(root: Path) -> dict[str, str]:
     """Dotted name → source, of every file below the packages. A folder's own file goes by the folder's name."""
     return {
-        ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): path.read_text("utf-8")
+        ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): read(path)
         for package in PACKAGES
         for path in (root / package).rglob("*.py")
     }
@@ -28,7 +29,7 @@ def modules(root: Path) -> dict[str, str]:
 def needed(name: str, source: str, known: Mapping[str, str], *, is_folder: bool) -> Iterator[str]:
     """Modules among the known ones that a module imports anywhere in its text."""
     here = name.split(".") if is_folder else name.split(".")[:-1]
-    for node in ast.walk(ast.parse(source)):
+    for node in walk(parse(source)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in known)
         if isinstance(node, ast.ImportFrom):

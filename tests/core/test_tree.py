@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from build_extension import rewrite_imports
+from syntax_trees import drop_trees, parse, python_files, read, walk
 
 ROOT = Path(__file__).resolve().parents[2]
 CORE, BRIDGE = ROOT / "hnf_core", ROOT / "hnf_blender"
@@ -48,13 +49,16 @@ UNSAFE_CALLS = {"eval", "exec"}
 Rule = Callable[[Path, ast.Module], list[str]]
 
 
-def python_files(*folders: Path) -> list[Path]:
-    return sorted(path for folder in folders for path in folder.rglob("*.py") if "__pycache__" not in path.parts)
+@pytest.fixture(autouse=True, scope="module")
+def last_to_parse() -> Iterator[None]:
+    """The tests of names and of circles, which come before, share these trees."""
+    yield
+    drop_trees()
 
 
 def absolute_imports(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """(line, top-level module) of every absolute import, at module level or inside a function."""
-    for node in ast.walk(tree):
+    for node in walk(tree):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name.partition(".")[0]) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -64,7 +68,7 @@ def absolute_imports(tree: ast.Module) -> Iterator[tuple[int, str]]:
 def rooms_used(path: Path, tree: ast.Module) -> Iterator[tuple[int, str]]:
     """(line, package) of every relative import in a file of hnf_core."""
     here = path.relative_to(CORE).with_suffix("").parts
-    for node in ast.walk(tree):
+    for node in walk(tree):
         if isinstance(node, ast.ImportFrom) and node.level > 0:
             base = here[: len(here) - node.level]
             names = [node.module] if node.module else [alias.name for alias in node.names]
@@ -103,7 +107,7 @@ def imports_a_higher_layer(path: Path, tree: ast.Module) -> list[str]:
 
 def is_unsafe(path: Path, tree: ast.Module) -> list[str]:
     found = [f"line {line}: {name}" for line, name in absolute_imports(tree) if name in UNSAFE_MODULES]
-    for node in ast.walk(tree):
+    for node in walk(tree):
         if not isinstance(node, ast.Call):
             continue
         if isinstance(node.func, ast.Name) and node.func.id in UNSAFE_CALLS:
@@ -123,14 +127,14 @@ def asks_for_the_version(path: Path, tree: ast.Module) -> list[str]:
         return []
     return [
         f"line {node.lineno}: {ast.unparse(node)}"
-        for node in ast.walk(tree)
+        for node in walk(tree)
         if isinstance(node, ast.Attribute) and ast.unparse(node).startswith("bpy.app.version")
     ]
 
 
 def is_called_back_by_a_property(path: Path, tree: ast.Module) -> list[str]:
     """Such a callback hangs bpy 4.5 and crashes 4.2 when the process ends, whatever it does."""
-    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    calls = [node for node in walk(tree) if isinstance(node, ast.Call)]
     return [
         f"line {call.lineno}: {word.arg}="
         for call in calls
@@ -143,10 +147,10 @@ def is_called_back_by_a_property(path: Path, tree: ast.Module) -> list[str]:
 def names_what_the_addon_lacks(path: Path, tree: ast.Module) -> list[str]:
     """Window tests take modules by their text, ours("ui.tab").name: else only the window fails."""
     found, modules = [], {}
-    for node in ast.walk(tree):
+    for node in walk(tree):
         if isinstance(node, ast.Assign) and (name := taken_module(node.value)):
             modules[ast.unparse(node.targets[0])] = name
-    for node in ast.walk(tree):
+    for node in walk(tree):
         if (name := taken_module(node)) and module_file(name) is None:
             found.append(f"line {node.lineno}: {name}")
         if isinstance(node, ast.Attribute):
@@ -173,7 +177,7 @@ def defines(file: Path, name: str) -> bool:
     """True where a module has this name: defined, assigned or imported anywhere at its top, or a module of its own."""
     if (file.parent / f"{name}.py").is_file() and file.name == "__init__.py":
         return True
-    for node in ast.parse(file.read_text(encoding="utf-8")).body:
+    for node in parse(read(file)).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == name:
             return True
         if isinstance(node, ast.Import | ast.ImportFrom) and name in {each.asname or each.name for each in node.names}:
@@ -188,7 +192,7 @@ def defines(file: Path, name: str) -> bool:
 def imports_what_is_not_there(path: Path, tree: ast.Module) -> list[str]:
     """Imports inside of functions fail only where they run: a move would be noticed minutes later."""
     found = []
-    for node in ast.walk(tree):
+    for node in walk(tree):
         if not isinstance(node, ast.ImportFrom) or node.level or not node.module or node.module == "hnf_core":
             continue
         top = node.module.partition(".")[0]
@@ -216,7 +220,7 @@ def own_module(name: str) -> Path | None:
 def names_in(file: Path) -> set[str]:
     """All names that a module binds, wherever it does."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in walk(parse(read(file))):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             names.add(node.name)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
@@ -230,7 +234,7 @@ def breaches(rule: Rule, *folders: Path) -> list[str]:
     return [
         f"{path.relative_to(ROOT)} {found}"
         for path in python_files(*folders)
-        for found in rule(path, ast.parse(path.read_text(encoding="utf-8")))
+        for found in rule(path, parse(read(path)))
     ]
 
 
@@ -298,7 +302,7 @@ def test_bridge_imports_can_move_into_the_extension() -> None:
     assert files
     for path in files:
         level = len(path.relative_to(BRIDGE).parts)
-        rewrite_imports(path.read_text(encoding="utf-8"), level, str(path.relative_to(ROOT)))
+        rewrite_imports(read(path), level, str(path.relative_to(ROOT)))
 
 
 def test_every_folder_with_code_is_a_package() -> None:
@@ -308,7 +312,7 @@ def test_every_folder_with_code_is_a_package() -> None:
 
 def test_no_file_is_too_long() -> None:
     files = python_files(CORE, BRIDGE, ROOT / "tools", ROOT / "tests")
-    long = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in files}
+    long = {str(path.relative_to(ROOT)): len(read(path).splitlines()) for path in files}
     assert {name: lines for name, lines in long.items() if lines > LINE_LIMIT} == {}
 
 
