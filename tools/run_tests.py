@@ -163,8 +163,11 @@ def run_once(check: Check) -> tuple[list[Case], str]:
     environment = os.environ | {
         "OMP_NUM_THREADS": "1",
         "PYTHONFAULTHANDLER": "1",
+        # The environments come without bytecode: unless it is kept, each process that a test starts compiles torch.
+        "PYTHONPYCACHEPREFIX": str(RESULTS / "bytecode"),
         "BLENDER_USER_RESOURCES": str(profile),
     }
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     with log_path.open("wb") as log:
         process = subprocess.Popen(
             build_command(check),

@@ -82,7 +82,7 @@ def test_an_unreadable_result_is_an_error_not_a_success(tmp_path: Path, capsys: 
 @pytest.mark.parametrize(
     ("body", "timeout_s", "word"),
     [
-        ("def test_a(): pass\n", 60.0, "1 passed"),
+        ("import sys\ndef test_a(): assert sys.pycache_prefix and not sys.dont_write_bytecode\n", 60.0, "1 passed"),
         ("import os\ndef test_a(): os.abort()\n", 60.0, "ended with exit code -6, Aborted in test_it.py:2 test_a"),
         ("import time\ndef test_a(): time.sleep(60)\n", 3.0, "was ended after 3 s"),
         ("x = 1\n", 60.0, "ended with exit code 5"),
