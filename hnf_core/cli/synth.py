@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 import sys
 from collections.abc import Iterator, Mapping
@@ -23,6 +24,7 @@ from ..action.primitive_path import make_primitive_action
 from ..action.primitives import PRIMITIVES, Primitive
 from ..errors import UsageError
 from ..export.wav import write_wav, write_wav_channels, write_wav_stream
+from ..field.adaptive_sampling import DEFAULT_TOLERANCE
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.field import Field
 from ..field.prepare import supports_tolerance
@@ -110,8 +112,7 @@ def write_in_chunks(
 ) -> WrittenSignal:  # fmt: skip
     """Synthesise a stroke chunk by chunk into a WAV.
 
-    The samples equal those of `synthesise` within 1e-6 of their RMS or, with a tolerance, approximate those of the
-    field to within it.
+    The samples equal those of `synthesise` within 1e-6 of their RMS.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def write_in_chunks(
     facts : mapping of str to str
         Further facts for the WAV's provenance, by name.
     tolerance : float or None
-        Largest relative RMS error of evaluating the field at fewer samples; None for exact evaluation.
+        As in `synthesise`.
     chunk_samples : int
         Samples computed at once.
 
@@ -171,6 +172,7 @@ def _read_stroke(words: str) -> Primitive:
     return parse_stroke(words)
 
 
+_DEFAULT_TOLERANCE_DB = 20.0 * math.log10(DEFAULT_TOLERANCE)
 _NEGATIVE_NUMBER = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|^-(inf|nan)$", re.IGNORECASE)
 """Pattern for argparse, whose own takes -1e1 for an unknown option."""
 MAX_TOLERANCE_DB, MIN_TOLERANCE_DB = -10.0, -45.0
@@ -214,9 +216,8 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, default=MODEL_RATE_HZ, metavar="HZ", help="sample rate (default 10000)")
     parser.add_argument(
         "--tolerance", type=float, metavar="DB",
-        help=f"evaluate the field where the stroke asks for it, to within {MAX_TOLERANCE_DB:g} to "
-        f"{MIN_TOLERANCE_DB:g} dB of the "
-        "model taken literally (default: 200 times a second, whatever that gives)",
+        help=f"how near to the model taken literally, {MAX_TOLERANCE_DB:g} to {MIN_TOLERANCE_DB:g} dB (default "
+        f"{_DEFAULT_TOLERANCE_DB:g}); what is not reached is said",
     )  # fmt: skip
     parser._negative_number_matcher = _NEGATIVE_NUMBER
     parser.add_argument(
@@ -279,9 +280,9 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.write_action is not None:
             write_action_csv(arguments.write_action, action)
     stroke = uniform_stroke(action, material.token, material.mechanics)
-    if tolerance is not None and not supports_tolerance(field, stroke):
+    if tolerance is not None and not supports_tolerance(field):
         raise UsageError(
-            "--tolerance has no say over these weights: their heads lag one another, and are heard at every state.",
+            "--tolerance has no say over these weights, which are evaluated at every state.",
             remedy="Leave it out, or train with --accumulation past.",
         )
     facts = {"stroke": stroke_name, **facts}

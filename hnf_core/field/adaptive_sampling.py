@@ -2,10 +2,12 @@
 
 Amplitudes follow the action, which is slow most of the time and turns within milliseconds where a hand lands or
 reverses. They are evaluated on a coarse grid of samples, then in the middle between neighbours; where the middle is off
-the straight line, further, the largest errors first, until the power that is missed over the whole stroke is within the
-tolerance. `find_breakpoints` adds the samples where the action itself bends, since a short touch, a stop or a push
-shorter than the grid's interval would be missed otherwise. Exact evaluation, which the tolerance is relative to, takes
-every sample.
+the straight line, the halves are evaluated in their middles, and so on, until what is missed there is within the
+tolerance of the amplitudes around. `find_breakpoints` adds the samples where the action itself bends, since a short
+touch, a stop or a push shorter than the grid's interval would be missed otherwise.
+
+A stroke is divided into passages of PASSAGE_STATES. What is evaluated in a passage depends on the action there alone,
+so that a chunk of a stroke, and a stroke of which a force key was moved, give the bytes of the whole stroke.
 """
 
 from __future__ import annotations
@@ -30,27 +32,30 @@ Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Samples = NDArray[np.int64]
 
-MAX_INTERVAL, MIN_INTERVAL = 800, 2
-"""Largest and smallest interval between evaluations [samples]: 80 ms and 0.2 ms."""
-TOLERANCE_SAFETY = 0.42
+DEFAULT_TOLERANCE = 0.01
+"""Tolerance where none is given: −40 dB, a sixth of what the field itself is off by."""
+PASSAGE_STATES = 128
+"""States (200 Hz) of a passage: 0.64 s."""
+PASSAGE_SAMPLES = PASSAGE_STATES * SAMPLES_PER_STATE
+"""Samples of a passage."""
+MAX_INTERVAL, MIN_INTERVAL = 400, 2
+"""Largest and smallest interval between evaluations [samples]: 40 ms and 0.2 ms."""
+TOLERANCE_SAFETY = 0.45
 """Fraction of the requested tolerance that is aimed at.
 
-The error of an interval is judged by its middle alone; and where the error is in few bands for a few milliseconds, one
-realisation of their noise may be far louder than its expectation. docs/benchmarks.md has the results over the library.
-"""
-UNREFINED_ERROR_SHARE = 0.8
-"""Fraction of the error budget that is left to intervals which are not halved again, since halves have errors too.
-
-With all of it a ten-second stroke took five to eight rounds, the last of a few states each; with this, three or four.
+The error of an interval is predicted from its middle alone; and where the error is in few bands for a few milliseconds,
+one realisation of their noise may be far louder than its expectation. docs/benchmarks.md has the results over the
+library.
 """
 _PARABOLA_MEAN_SQUARE = 8.0 / 15.0
 """Mean square of a parabola's distance from its chord, over the square in the middle."""
+_HALF_SHARE = 1.0 / 8.0
+"""Power that is predicted in the middle of each half, over that in the middle. A parabola leaves a 16th; a kink up to a
+half, but to intervals that are soon too short to matter."""
 BATCH_SAMPLES = 512
 """Samples that are evaluated at once."""
-INITIAL_CAPACITY = 1024
-"""Evaluations that memory is reserved for at the start; unused memory costs nothing."""
-MAX_EVALUATIONS = 40_000
-"""Largest number of evaluations (0.8 GB of intermediate results); a 200 Hz action needs no more."""
+MAX_PASSAGE_EVALUATIONS = 1280
+"""Largest number of evaluations in a passage: one every 0.5 ms. A 200 Hz action needs no more."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,8 @@ class SampledEmission:
 
     at: (m,) ascending samples. alpha: (m, K) per carrier. sigma_dt: (m, N) per past state. residual_power: expected
     power of the interpolation error over that of the signal, from the errors in the intervals' middles over
-    TOLERANCE_SAFETY². It is within the square of the tolerance unless MAX_EVALUATIONS did not suffice.
+    TOLERANCE_SAFETY². It is within the square of the tolerance unless MIN_INTERVAL or MAX_PASSAGE_EVALUATIONS did not
+    suffice.
     """
 
     at: Samples
@@ -72,6 +78,22 @@ class SampledEmission:
         row = np.clip(np.searchsorted(self.at, sample, side="right") - 1, 0, len(self.at) - 2)
         begin = self.at[row]
         return row, np.clip((sample - begin) / (self.at[row + 1] - begin), 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class KnownPassages:
+    """Passages of a stroke in which an earlier one, of the same length, was evaluated under the same action.
+
+    sampled: of the earlier stroke. is_known: (passages,) True for these passages; see count_passages.
+    """
+
+    sampled: SampledEmission
+    is_known: NDArray[np.bool_]
+
+
+def count_passages(count: int) -> int:
+    """Return the number of passages of a stroke of samples 0 … count; the last one may hold the last sample alone."""
+    return count // PASSAGE_SAMPLES + 1
 
 
 EvaluateAt = Callable[[Samples], Emission]
@@ -95,7 +117,13 @@ def interpolate_rows(values: Float32, row: Samples, share: Float, factor: Float)
 
 
 def sample_adaptively(
-    evaluate_at: EvaluateAt, count: int, tolerance: float, breakpoints: Samples | None = None
+    evaluate_at: EvaluateAt,
+    count: int,
+    tolerance: float,
+    breakpoints: Samples | None = None,
+    *,
+    known: KnownPassages | None = None,
+    by_passage: bool = False,
 ) -> SampledEmission:
     """Evaluate a field with one head at few samples of 0 … count, and at more where linear interpolation is off.
 
@@ -106,134 +134,136 @@ def sample_adaptively(
     count
         Number of samples of the stroke.
     tolerance
-        Largest RMS of the interpolation error over the RMS of the stroke; 0 for the smallest intervals.
+        Largest RMS of the interpolation error over the RMS of each passage; 0 for the smallest intervals.
     breakpoints
         Samples that are evaluated in any case.
+    known
+        Passages that are taken from an earlier stroke.
+    by_passage
+        True to evaluate each passage by itself, where a result depends on what is evaluated with it.
 
     Returns
     -------
     SampledEmission
-        At most MAX_EVALUATIONS evaluations; residual_power says whether the tolerance is kept.
+        residual_power says whether the tolerance is kept; it counts the passages that are not known.
     """
+    is_new = np.ones(count_passages(count), dtype=bool) if known is None else ~known.is_known
     fixed = np.arange(0) if breakpoints is None else breakpoints[breakpoints < count]
-    grid = np.unique(np.concatenate([np.arange(0, count, MAX_INTERVAL), fixed, [count]]))
-    pending = np.stack([np.arange(len(grid) - 1), np.arange(1, len(grid))], axis=1)
-    pending = pending[np.diff(grid) > MIN_INTERVAL]
-    evaluated, before = _Evaluations(evaluate_at), np.zeros(len(pending))
+    grid = _divide_gaps(np.unique(np.concatenate([np.arange(0, count, PASSAGE_SAMPLES), fixed, [count]])))
+    bounds = np.stack([grid[:-1], grid[1:]], axis=1)
+    bounds = bounds[(np.diff(grid) > MIN_INTERVAL) & is_new[grid[:-1] // PASSAGE_SAMPLES]]
     # Every middle of the grid is needed in any case, so grid and middles are evaluated together.
-    evaluated.add(np.concatenate([grid, grid[pending].sum(axis=1) // 2]))
-    middle = slice(len(grid), evaluated.count)
-    settled, power, claimed = np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0)
-    while True:
-        if len(pending):
-            halves, found = evaluated.bisect(pending, middle)
-            settled, power = np.concatenate([settled, halves]), np.concatenate([power, np.tile(found, 2)])
-            claimed = np.concatenate([claimed, np.tile(_predict_child_error(found, before), 2)])
-        total = evaluated.total_power()
-        left_out = claimed * evaluated.lengths(settled) * _PARABOLA_MEAN_SQUARE
-        order = np.argsort(left_out)
-        so_far = np.cumsum(left_out[order])
-        missed = float(so_far[-1] / total) / TOLERANCE_SAFETY**2 if len(so_far) and total > 0.0 else 0.0
-        limit = (TOLERANCE_SAFETY * tolerance) ** 2 * total
-        if len(so_far) == 0 or so_far[-1] <= limit:
-            return evaluated.to_sampled_emission(missed)
-        worst = order[np.searchsorted(so_far, UNREFINED_ERROR_SHARE * limit, side="right") :]
-        worst = worst[evaluated.lengths(settled[worst]) > MIN_INTERVAL]
-        worst = worst[len(worst) - min(len(worst), max(MAX_EVALUATIONS - evaluated.count, 0) // 2) :]
-        if len(worst) == 0:
-            return evaluated.to_sampled_emission(missed)
-        worst.sort()
-        pending, before = settled[worst], power[worst]
-        middle = evaluated.add(evaluated.middles(pending))
-        settled, power, claimed = np.delete(settled, worst, axis=0), np.delete(power, worst), np.delete(claimed, worst)
+    first = np.concatenate([grid[is_new[grid // PASSAGE_SAMPLES]], bounds.sum(axis=1) // 2])
+    evaluations = _Evaluations(evaluate_at, by_passage, known)
+    evaluations.add(np.sort(first))
+    settled = np.zeros(len(is_new))
+    while len(bounds):
+        error, length = evaluations.measure_middles(bounds), np.diff(bounds)[:, 0]
+        passage = bounds[:, 0] // PASSAGE_SAMPLES
+        missed = error * length * (_HALF_SHARE * _PARABOLA_MEAN_SQUARE)
+        energy, intervals = evaluations.sum_passages(len(is_new))
+        allowed = (TOLERANCE_SAFETY * tolerance) ** 2 * energy
+        is_over = settled + np.bincount(passage, missed, len(is_new)) > allowed
+        # An evaluation is worth most where most energy is missed, however long the interval.
+        is_large = missed > (allowed / np.maximum(intervals, 1))[passage]
+        chosen = is_over[passage] & is_large & (length > 2 * MIN_INTERVAL)
+        chosen = _limit_evaluations(chosen, missed, passage, MAX_PASSAGE_EVALUATIONS - intervals)
+        settled += np.bincount(passage[~chosen], missed[~chosen], len(is_new))
+        halved, middle = bounds[chosen], bounds[chosen].sum(axis=1) // 2
+        bounds = np.stack([halved[:, 0], middle, middle, halved[:, 1]], axis=1).reshape(-1, 2)
+        evaluations.add(bounds.sum(axis=1) // 2)
+    total = evaluations.sum_passages(len(is_new))[0].sum()
+    residual = settled.sum() / total / TOLERANCE_SAFETY**2 if total > 0.0 else 0.0
+    return SampledEmission(evaluations.at, evaluations.alpha, evaluations.sigma_dt, float(residual))
+
+
+def _divide_gaps(fixed: Samples) -> Samples:
+    """Return ascending samples (m,) with those between them that divide any gap into equal parts of MAX_INTERVAL."""
+    gap = np.diff(fixed)
+    parts = -(-gap // MAX_INTERVAL)
+    index = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    grid = np.repeat(fixed[:-1], parts) + index * np.repeat(gap, parts) // np.repeat(parts, parts)
+    return np.append(grid, fixed[-1])
+
+
+def _limit_evaluations(chosen: NDArray[np.bool_], missed: Float, passage: Samples, room: Samples) -> NDArray[np.bool_]:
+    """Return the chosen intervals (p,) that are still halved where a passage has little room for evaluations.
+
+    missed: (p,) error energy; the largest come first. passage: (p,) of each interval. room: (passages,) evaluations
+    that may be added, two for each halved interval.
+    """
+    for full in np.flatnonzero(2 * np.bincount(passage[chosen], minlength=len(room)) > room):
+        rows = np.flatnonzero(chosen & (passage == full))
+        chosen[rows[np.argsort(-missed[rows], kind="stable")[max(room[full], 0) // 2 :]]] = False
+    return chosen
 
 
 class _Evaluations:
-    """Evaluations in the order they were made.
+    """Evaluations of a field in the order of their samples.
 
-    An interval between two of them is given by their row numbers: intervals is (p, 2).
+    at: (m,) samples. alpha: (m, K). sigma_dt: (m, N).
     """
 
-    def __init__(self, evaluate_at: EvaluateAt) -> None:
-        self.count = 0
-        self._evaluate_at = evaluate_at
-        self._at = np.zeros(0, dtype=np.int64)
-        self._alpha = np.zeros((0, 0), dtype=np.float32)
-        self._sigma_dt, self._power = np.zeros((0, 0)), np.zeros(0)
+    def __init__(self, evaluate_at: EvaluateAt, by_passage: bool, known: KnownPassages | None) -> None:
+        self._evaluate_at, self._by_passage = evaluate_at, by_passage
+        self.at = np.zeros(0, dtype=np.int64)
+        self.alpha = np.zeros((0, 0), dtype=np.float32)
+        self.sigma_dt = np.zeros((0, 0))
+        self._power = np.zeros(0)
+        if known is not None:
+            rows, sampled = known.is_known[known.sampled.at // PASSAGE_SAMPLES], known.sampled
+            self._insert(sampled.at[rows], sampled.alpha[rows], sampled.sigma_dt[rows])
 
-    def lengths(self, intervals: Samples) -> Samples:
-        """Return the lengths (p,) [samples] of intervals (p, 2)."""
-        return np.asarray(self._at[intervals[:, 1]] - self._at[intervals[:, 0]])
+    def add(self, at: Samples) -> None:
+        """Evaluate the field at these ascending samples, which were not evaluated before."""
+        cuts = np.arange(0)
+        if self._by_passage:
+            cuts = np.flatnonzero(np.diff(at // PASSAGE_SAMPLES)) + 1
+        parts = [
+            group[low : low + BATCH_SAMPLES]
+            for group in np.split(at, cuts)
+            for low in range(0, len(group), BATCH_SAMPLES)
+        ]
+        if parts:
+            emissions = [self._evaluate_at(part) for part in parts]
+            alpha = np.concatenate([each.alpha[:, 0].astype(np.float32) for each in emissions])
+            self._insert(at, alpha, np.concatenate([each.sigma_dt for each in emissions]))
 
-    def middles(self, intervals: Samples) -> Samples:
-        """Return the sample (p,) in the middle of each of the intervals (p, 2)."""
-        return np.asarray(self._at[intervals].sum(axis=1) // 2)
+    def _insert(self, at: Samples, alpha: Float32, sigma_dt: Float) -> None:
+        rows = np.searchsorted(self.at, at)
+        self.alpha = _insert_rows(self.alpha, rows, alpha)
+        self.sigma_dt = _insert_rows(self.sigma_dt, rows, sigma_dt)
+        self._power = _insert_rows(self._power, rows, _sum_squares(alpha))
+        self.at = _insert_rows(self.at, rows, at)
 
-    def bisect(self, intervals: Samples, rows: slice) -> tuple[Samples, Float]:
-        """Return the halves (2p, 2) of the intervals, and the power (p,) of the interpolation error in each middle.
-
-        rows: rows of the evaluations in the middles, in the order of the intervals.
-        """
-        low, high = intervals.T
-        share = ((self._at[rows] - self._at[low]) / (self._at[high] - self._at[low])).astype(np.float32)[:, None]
+    def measure_middles(self, bounds: Samples) -> Float:
+        """Return the power (p,) of the interpolation error in the middles of intervals with the ends (p, 2)."""
+        low, middle, high = np.searchsorted(self.at, [bounds[:, 0], bounds.sum(axis=1) // 2, bounds[:, 1]])
+        share = ((self.at[middle] - self.at[low]) / (self.at[high] - self.at[low])).astype(np.float32)[:, None]
         off, thinner = (
-            each[rows] - (each[low] + share * (each[high] - each[low])) for each in (self._alpha, self._sigma_dt)
+            each[middle] - (each[low] + share * (each[high] - each[low])) for each in (self.alpha, self.sigma_dt)
         )
         # A weight changes at most as much as its density, so an error of density is one of the whole amplitude.
-        missed = _sum_squares(off) + self._power[rows] * _sum_squares(thinner)
-        between = np.arange(rows.start, rows.stop)
-        return np.concatenate([np.stack([low, between], 1), np.stack([between, high], 1)]), missed
+        return np.asarray(_sum_squares(off) + self._power[middle] * _sum_squares(thinner))
 
-    def total_power(self) -> float:
-        """Return the power of the interpolated amplitudes, summed over all samples."""
-        order = np.argsort(self._at[: self.count])
-        power, at = self._power[order], self._at[order]
-        return float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(at)))
+    def sum_passages(self, passages: int) -> tuple[Float, Samples]:
+        """Return the power of the interpolated amplitudes summed over the samples of each passage, and its intervals.
 
-    def to_sampled_emission(self, residual_power: float) -> SampledEmission:
-        """Return the evaluations sorted by sample, as a SampledEmission."""
-        order = np.argsort(self._at[: self.count])
-        return SampledEmission(self._at[order], self._alpha[order], self._sigma_dt[order], residual_power)
-
-    def add(self, at: Samples) -> slice:
-        """Evaluate the field at these samples, append the results, and return their rows."""
-        begin = self.count
-        for low in range(0, len(at), BATCH_SAMPLES):
-            batch = at[low : low + BATCH_SAMPLES]
-            emission, rows = self._evaluate_at(batch), slice(self.count, self.count + len(batch))
-            alpha = emission.alpha[:, 0].astype(np.float32)
-            self._at = _append_rows(self._at, rows, batch)
-            self._power = _append_rows(self._power, rows, _sum_squares(alpha))
-            self._alpha = _append_rows(self._alpha, rows, alpha)
-            self._sigma_dt = _append_rows(self._sigma_dt, rows, emission.sigma_dt)
-            self.count = rows.stop
-        return slice(begin, self.count)
+        Each passage is summed by itself, so that its last bit does not depend on others.
+        """
+        passage = self.at[:-1] // PASSAGE_SAMPLES
+        energy = np.bincount(passage, 0.5 * (self._power[1:] + self._power[:-1]) * np.diff(self.at), passages)
+        return np.asarray(energy, dtype=np.float64), np.bincount(passage, minlength=passages).astype(np.int64)
 
 
-def _append_rows(array: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:
-    """Return the array with new values in these rows, which follow the last; a full array grows to twice its size."""
-    if rows.stop > len(array):
-        grown = np.empty((max(2 * len(array), rows.stop, INITIAL_CAPACITY), *new.shape[1:]), dtype=new.dtype)
-        grown[: rows.start] = array[: rows.start] if rows.start else 0.0
-        array = grown
-    array[rows] = new
-    return array
+def _insert_rows(array: NDArray[Any], rows: Samples, new: NDArray[Any]) -> NDArray[Any]:
+    """Return the array with new values before these rows."""
+    return np.insert(array, rows, new, axis=0) if len(array) else new
 
 
 def _sum_squares(values: NDArray[np.floating[Any]]) -> Float:
     """Return the sums of squares (n,) of (n, K)."""
     return np.asarray(np.einsum("nk,nk->n", values, values))
-
-
-def _predict_child_error(found: Float, before: Float) -> Float:
-    """Predict the interpolation error in the middle of each half of p intervals, as power (p,).
-
-    found: (p,) error in the interval's own middle. before: (p,) error in the middle of the interval it is a half of, 0
-    if there was none. A parabola leaves a 16th to each half, a kink or a jump all of it to one half, counted as half to
-    each. If the last halving left at least half, the error counts as one of these, otherwise a quarter is predicted.
-    """
-    share: Float = 0.5 * np.clip(found / np.maximum(before, 1e-300), 0.5, 1.0)
-    return found * share
 
 
 def accumulate_samples(config: FieldConfig, sampled: SampledEmission, count: int) -> tuple[Samples, Float32]:
@@ -251,11 +281,16 @@ def accumulate_samples(config: FieldConfig, sampled: SampledEmission, count: int
     return at, interpolate_rows(sampled.alpha, row, share, weights * (at[:, None] >= lag * state))
 
 
-MAX_DEVIATION = 0.25
-"""Largest deviation of log speed, log force and direction (radians) from a straight line between breakpoints.
+MAX_DEVIATION = 0.005
+"""Largest deviation of log speed and log force from a straight line between breakpoints.
 
-F_Θ changes with them about one to one, and the effect of such a bend shows in the middle between two breakpoints.
+F_Θ changes with them by up to twice as much. A larger bend would show in the middle between two breakpoints, but for a
+tremor whose waves are as long as the intervals; and where a hand turns over a regular surface, whose lines then pass
+from band to band.
 """
+DIRECTION_WEIGHT = 0.5
+"""Weight of a deviation of the direction [rad] beside one of log speed: with MAX_DEVIATION, a breakpoint every 0.28 rad
+of an even turn."""
 
 
 def find_breakpoints(action: Action, token_index: NDArray[np.int32]) -> Samples:
@@ -266,9 +301,10 @@ def find_breakpoints(action: Action, token_index: NDArray[np.int32]) -> Samples:
     """
     force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
     speed = np.maximum(action.speed, SPEED_FLOOR_M_S)
-    course = np.column_stack([np.log(speed), np.log(force), action.direction])
+    course = np.column_stack([np.log(speed), np.log(force), DIRECTION_WEIGHT * action.direction])
     changes = np.flatnonzero((np.diff(token_index) != 0) | (np.diff(action.contact.astype(np.int8)) != 0))
-    fixed = np.unique(np.concatenate([[0, len(speed) - 1], changes, changes + 1]))
+    passages = np.arange(0, len(speed), PASSAGE_STATES)
+    fixed = np.unique(np.concatenate([passages, [len(speed) - 1], changes, changes + 1]))
     compiled = load_kernel()
     found = _find_bends_numpy(course, fixed) if compiled is None else find_bends(compiled, course, fixed, MAX_DEVIATION)
     states: Samples = SAMPLES_PER_STATE * found.astype(np.int64)

@@ -1,14 +1,14 @@
 """Evaluate the field F_Θ for a stroke and prepare what its samples are then rendered from.
 
-`prepare_stroke` turns a StrokeInput into a PreparedStroke: F_Θ is evaluated at every state of the action (200 Hz), a
-chunk of states at a time, or with a tolerance at the fewer samples that adaptive_sampling chooses. The module also
-finds the audible spans of a stroke and splits them into blocks.
+`prepare_stroke` turns a StrokeInput into a PreparedStroke: F_Θ is evaluated at the samples that adaptive_sampling
+chooses within a tolerance, or at every state of the action (200 Hz) for a field whose carriers need the full rate. The
+module also finds the audible spans of a stroke and splits them into blocks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,15 @@ from numpy.typing import NDArray
 from ..action.action import ACTION_RATE_HZ, Action
 from ..material.probe import get_probe
 from .adaptive_sampling import (
+    BATCH_SAMPLES,
+    DEFAULT_TOLERANCE,
+    PASSAGE_STATES,
     EvaluateAt,
+    KnownPassages,
     SampledEmission,
     Samples,
     accumulate_samples,
+    count_passages,
     find_breakpoints,
     sample_adaptively,
 )
@@ -31,7 +36,6 @@ from .contact.lattice_lines import HARMONICS, Lines
 from .contact.stick_slip import SlipResponse, StickSlip, may_stick
 from .contact.taps import TapRenderer, TapResponse
 from .field import (
-    BATCH_STATES,
     Emission,
     Evaluator,
     Field,
@@ -43,12 +47,13 @@ from .field import (
 )
 from .force_noise import compute_force_noise_power
 from .height_profile import compute_profile_power, explain_power, find_finest
-from .linear_contact import BAND_END_HZ, Condition
+from .linear_contact import BAND_END_HZ
 from .noise_cache import HOP_SIZE
 from .stroke import (
     SAMPLES_PER_STATE,
     StrokeInput,
     build_condition,
+    find_distinct_mechanics,
     find_peak_speed,
     interpolate_condition,
     resample_action,
@@ -116,13 +121,6 @@ def find_audible_spans(audible: Float) -> Iterator[tuple[int, int]]:
         yield begin, end - begin
 
 
-CHUNK_STATES = 128
-"""Action states in a chunk, the unit in which F_Θ is evaluated.
-
-In numpy results depend on how many states are evaluated at once, so this is part of the byte-exact contract.
-"""
-
-
 @dataclass(frozen=True)
 class StrokeCourse:
     """Parts of a stroke that follow from its whole past, so that no piece of it tells them.
@@ -171,11 +169,11 @@ class PreparedStroke:
         (count,) motion of the probe over the height profile, in place of the linear contact [m/s²], or the whole signal
         of a raw action; None without either.
     loudest
-        The field's largest amplitude in each chunk of states [m/s²].
+        The field's largest amplitude [m/s²].
     knots
-        (m,) 10 kHz samples at which amplitude is given; None if it is at each of the n states.
-    residual_power
-        Error power of interpolating between knots, relative to the signal's power, see SampledEmission.
+        (m,) 10 kHz samples at which amplitude is given.
+    sampled
+        The field's outputs, from which amplitude is accumulated; None for a field that is evaluated at every state.
     origin
         Sample of the carriers' clock at which this begins, if it is a chunk of a longer stroke.
     course
@@ -191,10 +189,10 @@ class PreparedStroke:
     bank: FilterBank
     force: Float
     audible: Float
+    knots: Samples
     motion: Float | None = None
-    loudest: Float = field(default_factory=lambda: np.zeros(0))
-    knots: NDArray[np.int64] | None = None
-    residual_power: float = 0.0
+    loudest: float = 0.0
+    sampled: SampledEmission | None = None
     origin: int = 0
     course: StrokeCourse = field(default_factory=lambda: StrokeCourse())
     tone_amplitude: Float | None = None
@@ -203,6 +201,11 @@ class PreparedStroke:
     def count(self) -> int:
         """Number of samples at 10 kHz."""
         return len(self.audible)
+
+    @property
+    def residual_power(self) -> float:
+        """Error power of interpolating between knots, relative to the signal's power, see SampledEmission."""
+        return 0.0 if self.sampled is None else self.sampled.residual_power
 
 
 def prepare_stroke(
@@ -226,12 +229,11 @@ def prepare_stroke(
     seed
         Seed of the carriers' noise.
     earlier
-        Prepared stroke that differs in force and contact alone; then only chunks of states in which they differ are
-        evaluated; the result is the same as without it.
+        Prepared stroke that differs in force and contact alone, of the same tolerance; then only passages in which they
+        differ are evaluated; the result is the same as without it.
     tolerance
-        Largest RMS error due to interpolated amplitudes, relative to the RMS of the whole stroke. F_Θ is then evaluated
-        at adaptive samples instead of at every state. Ignored if the stroke has a height profile or the field
-        accumulates over heads.
+        Largest RMS error due to interpolated amplitudes, relative to the RMS of each passage of the stroke; None for
+        DEFAULT_TOLERANCE. No matter where `supports_tolerance` is False, since F_Θ is evaluated at every state there.
     evaluator
         Function that evaluates the field at n states, in place of field.evaluate.
     course
@@ -252,60 +254,43 @@ def prepare_stroke(
         return _prepare_raw(field, stroke, seed, action, token_index, evaluator)
     if course is None:
         course = follow_stroke(field, stroke, action, token_index, seed)
-    if tolerance is not None and supports_tolerance(field, stroke):
-        evaluate_at = make_evaluate_at(field, stroke, action, token_index, evaluator, course)
-        breakpoints = find_breakpoints(action, token_index)
-        sampled = sample_adaptively(evaluate_at, sample_count(action), tolerance, breakpoints)
-        return prepare_sampled(field, stroke, seed, action, token_index, sampled, course)
-    condition = build_condition(stroke, action, token_index, course.along_share, course.token_lines)
-    carriers, count = field.config.carriers, len(action.speed)
-    columns = carriers.count + course.tone_count
-    profile = stroke.profile if carriers.arc_count and has_relief(stroke) else None
-    profile_power = None if profile is None else compute_profile_power(profile, carriers)
-    frequency = arc_band_frequency(action, carriers)
-    amplitude, loudest = np.empty((count, field.config.alpha_heads, columns)), np.empty(-(-count // CHUNK_STATES))
-    if earlier is not None:
-        amplitude[:, :, : carriers.count], loudest[:] = earlier.amplitude, earlier.loudest
-        if earlier.tone_amplitude is not None:
-            amplitude[:, 0, carriers.count :] = earlier.tone_amplitude
-    cache = None
-    if earlier is None and find_kernel(field) is not None:  # Results do not depend on the number of states in a batch.
-        cache = _EmissionCache(field, condition, evaluator, columns)
-    for chunk, (rows, with_memory) in enumerate(iterate_state_chunks(field, count)):
-        if earlier is not None and not (
-            _inputs_differ(action, earlier.action, with_memory)
-            or _shares_differ(course.along_share, earlier.course.along_share, with_memory)
-        ):
-            continue
-        if has_no_contact(condition, with_memory):
-            amplitude[rows], loudest[chunk] = 0.0, 0.0
-            continue
-        if cache is not None:
-            emission = cache.rows(with_memory)
-        else:
-            emission = evaluate_batched(field, condition.rows(with_memory), evaluator)
-        amplitude[rows], loudest[chunk] = _compute_amplitudes(field, condition, emission, frequency[rows], rows)
-        if profile is not None and profile_power is not None:
-            _leave_explained_power(field, condition.rows(rows), profile_power, find_finest(profile), amplitude[rows])
-    tone_amplitude = None
-    if course.lines is not None:
-        amplitude, tone_amplitude = amplitude[:, :, : carriers.count], amplitude[:, 0, carriers.count :].copy()
-        course.lines.silence_others(tone_amplitude, SAMPLES_PER_STATE * np.arange(count), find_peak_speed(action))
-        if profile is not None:
-            # The harmonics of a line that the profile holds are in its motion, also those that it does not resolve.
-            held = np.repeat(course.lines.wavenumber <= find_finest(profile), len(HARMONICS), axis=1)
-            tone_amplitude *= ~held
-    pressed = np.where(action.contact, action.force, 0.0)
-    if earlier is not None and np.array_equal(action.contact, earlier.action.contact):
-        audible = earlier.audible
+    if not supports_tolerance(field):
+        return _prepare_at_states(field, stroke, seed, action, token_index, evaluator, course)
+    sampled = sample_adaptively(
+        make_evaluate_at(field, stroke, action, token_index, evaluator, course),
+        sample_count(action),
+        DEFAULT_TOLERANCE if tolerance is None else tolerance,
+        find_breakpoints(action, number_materials(stroke)[token_index]),
+        known=None if earlier is None else _find_known_passages(field, earlier, action, course),
+        by_passage=find_kernel(field) is None,  # In numpy results depend on how many states are evaluated at once.
+    )
+    return prepare_sampled(field, stroke, seed, action, token_index, sampled, course, earlier)
+
+
+def number_materials(stroke: StrokeInput) -> NDArray[np.int32]:
+    """Return a number (M,) for each material of a stroke, the same for those that F_Θ cannot tell apart."""
+    _, mechanics = find_distinct_mechanics(stroke.mechanics)
+    _, tokens = np.unique(stroke.tokens, axis=0, return_inverse=True)
+    return (len(stroke.tokens) * tokens.ravel() + mechanics).astype(np.int32)
+
+
+def _find_known_passages(
+    field: Field, earlier: PreparedStroke, action: Action, course: StrokeCourse
+) -> KnownPassages | None:
+    """Find the passages in which F_Θ has the same inputs as in an earlier stroke along the same path."""
+    if earlier.sampled is None:
+        return None
+    before, share, old_share = earlier.action, course.along_share, earlier.course.along_share
+    differs = (action.force != before.force) | (action.contact != before.contact)
+    if share is None or old_share is None:
+        differs |= share is not old_share
     else:
-        audible = compute_audible_gain(action.contact, sample_count(action))
-    bank = build_filter_bank(stroke.mechanics, token_index, pressed, action.probe)
-    motion = None if profile is None else render_motion(stroke, action, token_index, carriers)
-    return PreparedStroke(
-        carriers, seed, action, amplitude, bank, pressed, audible, motion, loudest, course=course,
-        tone_amplitude=tone_amplitude,
-    )  # fmt: skip
+        differs |= share != old_share
+    reach = count_memory_states(field) + 2  # of past states, and of interpolation
+    starts = np.arange(count_passages(sample_count(action))) * PASSAGE_STATES
+    total = np.concatenate([[0], np.cumsum(differs)])
+    low, high = np.maximum(starts - reach, 0), np.minimum(starts + PASSAGE_STATES + 3, len(differs))
+    return KnownPassages(earlier.sampled, total[high] == total[np.minimum(low, len(differs))])
 
 
 def reads_raw_action(field: Field, stroke: StrokeInput) -> bool:
@@ -343,8 +328,34 @@ def _prepare_raw(
     return PreparedStroke(
         field.config.carriers, seed, action, np.zeros((len(action.speed), 1, 1)),
         build_filter_bank(stroke.mechanics, token_index, pressed, action.probe), pressed,
-        compute_audible_gain(action.contact, len(samples)), motion, np.abs(samples).max(keepdims=True, initial=0.0),
+        compute_audible_gain(action.contact, len(samples)), _list_state_samples(action), motion,
+        float(np.abs(samples).max(initial=0.0)),
     )  # fmt: skip
+
+
+def _prepare_at_states(
+    field: Field,
+    stroke: StrokeInput,
+    seed: int,
+    action: Action,
+    token_index: NDArray[np.int32],
+    evaluator: Evaluator,
+    course: StrokeCourse,
+) -> PreparedStroke:
+    """Prepare a stroke whose carriers are rendered at the full rate, with F_Θ evaluated at every state."""
+    evaluate_at = make_evaluate_at(field, stroke, action, token_index, evaluator, course)
+    knots = _list_state_samples(action)
+    emission = concatenate_emissions(
+        [evaluate_at(knots[low : low + BATCH_SAMPLES]) for low in range(0, len(knots), BATCH_SAMPLES)]
+    )
+    return _prepare_amplitudes(
+        field, stroke, seed, action, token_index, course, knots, accumulate(field.config, emission)
+    )
+
+
+def _list_state_samples(action: Action) -> Samples:
+    """Return the 10 kHz samples (n,) of an action's states."""
+    return SAMPLES_PER_STATE * np.arange(len(action.speed), dtype=np.int64)
 
 
 def follow_stroke(
@@ -405,65 +416,14 @@ def make_stick_slip(
     return stick_slip if stick_slip.motion.spans else None
 
 
-def iterate_state_chunks(field: Field, count: int) -> Iterator[tuple[slice, slice]]:
-    """Split `count` states into chunks; yield the rows of each, and those rows with the past states it depends on."""
-    for start in range(0, count, CHUNK_STATES):
-        stop = min(start + CHUNK_STATES, count)
-        yield slice(start, stop), slice(max(start - count_memory_states(field), 0), stop)
-
-
-class _EmissionCache:
-    """Outputs of the field for consecutive chunks of a stroke's states.
-
-    Evaluates states in batches that span several chunks, each state once, and skips states that no chunk in contact
-    uses.
-    """
-
-    def __init__(self, field: Field, condition: Condition, evaluator: Evaluator, columns: int) -> None:
-        self._field, self._condition, self._evaluator, self._columns = field, condition, evaluator, columns
-        self._used = np.zeros(len(condition.speed), dtype=bool)
-        for _, with_memory in iterate_state_chunks(field, len(self._used)):
-            self._used[with_memory] |= not has_no_contact(condition, with_memory)
-        self._begin = self._end = 0
-        self._emission = _zero_emission(field, 0, columns)
-
-    def rows(self, states: slice) -> Emission:
-        """Return the field's output at some states; evaluate missing ones, and forget all before them."""
-        if states.stop > self._end:
-            known = self._emission.rows(slice(max(states.start - self._begin, 0), None))
-            begin = max(states.start, self._end)
-            end = min(max(begin + BATCH_STATES, states.stop), len(self._used))
-            self._emission = concatenate_emissions([known, self._evaluate(slice(begin, end))])
-            self._begin, self._end = states.start, end
-        return self._emission.rows(slice(states.start - self._begin, states.stop - self._begin))
-
-    def _evaluate(self, rows: slice) -> Emission:
-        used = self._used[rows]
-        condition = self._condition.rows(rows)
-        if used.all():
-            return evaluate_batched(self._field, condition, self._evaluator)
-        emission = _zero_emission(self._field, len(used), self._columns)
-        emission.assign(used, evaluate_batched(self._field, condition.rows(used), self._evaluator))
-        return emission
-
-
 def _zero_emission(field: Field, count: int, columns: int) -> Emission:
     config = field.config
     return Emission(np.zeros((count, config.alpha_heads, columns)), np.zeros((count, config.states)))
 
 
-def has_no_contact(condition: Condition, states: slice) -> bool:
-    """Return True if the hand touches at none of the states; then the field's output is 0 there."""
-    return not condition.contact[states].any()
-
-
-def supports_tolerance(field: Field, stroke: StrokeInput) -> bool:
-    """Return True if the field can be evaluated adaptively, within a tolerance, for this stroke.
-
-    That needs accumulation over past states, and no height profile that shares the power with arc carriers.
-    """
-    shared = stroke.profile is not None and field.config.carriers.arc_count > 0
-    return field.config.accumulation == "past" and not shared
+def supports_tolerance(field: Field) -> bool:
+    """Return True if the field is evaluated at samples that a tolerance chooses: with one head, and bands of noise."""
+    return field.config.accumulation == "past" and not field.config.carriers.constant
 
 
 def prepare_sampled(
@@ -474,31 +434,70 @@ def prepare_sampled(
     token_index: NDArray[np.int32],
     sampled: SampledEmission,
     course: StrokeCourse,
+    earlier: PreparedStroke | None = None,
 ) -> PreparedStroke:
     """Prepare a stroke from the field's outputs at chosen samples, linearly interpolated between them.
 
-    action and token_index are those of stroke.resample_action. course: of the stroke.
+    action and token_index are those of stroke.resample_action. course: of the stroke. earlier: as in prepare_stroke.
     """
+    knots, amplitude = accumulate_samples(field.config, sampled, sample_count(action))
+    prepared = _prepare_amplitudes(field, stroke, seed, action, token_index, course, knots, amplitude[:, None], earlier)
+    return replace(prepared, sampled=sampled)
+
+
+def _prepare_amplitudes(
+    field: Field,
+    stroke: StrokeInput,
+    seed: int,
+    action: Action,
+    token_index: NDArray[np.int32],
+    course: StrokeCourse,
+    knots: Samples,
+    amplitude: NDArray[np.floating[Any]],
+    earlier: PreparedStroke | None = None,
+) -> PreparedStroke:
+    """Prepare a stroke from amplitudes (m, heads, K + tones) at the samples `knots` (m,)."""
     carriers, count = field.config.carriers, sample_count(action)
-    knots, amplitude = accumulate_samples(field.config, sampled, count)
-    if carriers.arc_count:
-        speed, state = find_peak_speed(action), knots // SAMPLES_PER_STATE
-        fastest = np.maximum(speed[state], speed[np.minimum(state + 1, len(speed) - 1)])
-        fast = np.flatnonzero(fastest * carriers.arc_centres()[-1] >= BAND_END_HZ)
-        amplitude[fast, carriers.arc_slice] *= fastest[fast, None] * carriers.arc_centres() < BAND_END_HZ
-    tone_amplitude = None
+    loudest, tone_amplitude = float(np.max(np.abs(amplitude), initial=0.0)), None
     if course.lines is not None:
-        amplitude, tones = np.split(amplitude, [carriers.count], axis=1)
-        amplitude, tone_amplitude = amplitude.copy(), tones.astype(np.float64)
+        amplitude, tones = np.split(amplitude, [carriers.count], axis=2)
+        amplitude, tone_amplitude = amplitude.copy(), tones[:, 0].astype(np.float64)
         course.lines.silence_others(tone_amplitude, knots, find_peak_speed(action))
+    if carriers.arc_count:
+        _silence_fast_bands(carriers, action, knots, amplitude)
+    profile = stroke.profile if carriers.arc_count and has_relief(stroke) else None
+    if profile is not None:
+        _leave_explained_power(field, stroke, action, token_index, course, knots, amplitude)
+        if course.lines is not None and tone_amplitude is not None:
+            # The harmonics of a line that the profile holds are in its motion, also those that it does not resolve.
+            held = np.repeat(course.lines.wavenumber <= find_finest(profile), len(HARMONICS), axis=1)
+            tone_amplitude *= ~held[knots // SAMPLES_PER_STATE]
     pressed = np.where(action.contact, action.force, 0.0)
+    if earlier is not None and np.array_equal(action.contact, earlier.action.contact):
+        audible = earlier.audible
+    else:
+        audible = compute_audible_gain(action.contact, count)
     bank = build_filter_bank(stroke.mechanics, token_index, pressed, action.probe)
-    loudest = np.array([np.max(sampled.alpha, initial=0.0)], dtype=np.float64)
+    motion = None if profile is None else render_motion(stroke, action, token_index, carriers)
     return PreparedStroke(
-        carriers, seed, action, amplitude[:, None, :], bank, pressed, compute_audible_gain(action.contact, count),
-        loudest=loudest, knots=knots, residual_power=sampled.residual_power, course=course,
+        carriers, seed, action, amplitude, bank, pressed, audible, knots, motion, loudest, course=course,
         tone_amplitude=tone_amplitude,
     )  # fmt: skip
+
+
+def _silence_fast_bands(
+    carriers: Carriers, action: Action, knots: Samples, amplitude: NDArray[np.floating[Any]]
+) -> None:
+    """Silence arc bands above BAND_END_HZ in amplitudes (m, heads, K), in place.
+
+    They would alias, and a jump of the hand would draw metres of noise. The field's gate depends on the speed of each
+    state, but past states are read at the present speed.
+    """
+    speed = find_peak_speed(action)
+    fastest = np.maximum(speed[knots // SAMPLES_PER_STATE], speed[-(-knots // SAMPLES_PER_STATE)])
+    fast = np.flatnonzero(fastest * carriers.arc_centres()[-1] >= BAND_END_HZ)
+    is_slow = fastest[fast, None] * carriers.arc_centres() < BAND_END_HZ
+    amplitude[fast, :, carriers.arc_slice] *= is_slow[:, None]
 
 
 def make_evaluate_at(
@@ -539,57 +538,31 @@ def _reaches_contact(contact: NDArray[np.bool_], states: int) -> NDArray[np.bool
     return np.asarray(by_next > before)
 
 
-def _inputs_differ(action: Action, other: Action, rows: slice) -> bool:
-    return not (
-        np.array_equal(action.force[rows], other.force[rows])
-        and np.array_equal(action.contact[rows], other.contact[rows])
-    )
-
-
-def _shares_differ(new: Float | None, old: Float | None, rows: slice) -> bool:
-    if new is None or old is None:
-        return new is not old
-    return not np.array_equal(new[rows], old[rows])
-
-
-def _compute_amplitudes(
-    field: Field, condition: Condition, emission: Emission, frequency: Float, rows: slice
-) -> tuple[Float, float]:
-    """Return a chunk's noise amplitudes (m, heads, K), and the largest of them.
-
-    emission: the field's output at the chunk and the past states it depends on. frequency: (m, Ka) of the arc bands,
-    κ · speed [Hz]. rows: the chunk's m states.
-    """
-    carriers = field.config.carriers
-    amplitude = accumulate(field.config, emission, len(emission.alpha) - (rows.stop - rows.start))
-    loudest = float(np.max(np.abs(amplitude), initial=0.0))
-    # The field's gate depends on the speed of each state, but past states are read at the present speed.
-    amplitude[:, :, carriers.arc_slice] *= (frequency < BAND_END_HZ)[:, None, :]
-    return amplitude, loudest
-
-
 def _leave_explained_power(
-    field: Field, condition: Condition, profile_power: Float, finest: float, amplitude: Float
+    field: Field,
+    stroke: StrokeInput,
+    action: Action,
+    token_index: NDArray[np.int32],
+    course: StrokeCourse,
+    knots: Samples,
+    amplitude: NDArray[np.floating[Any]],
 ) -> None:
-    """Take from the noise amplitudes (m, heads, K), in place, what a height profile explains; see explain_power."""
-    carriers = field.config.carriers
-    noise, body = np.zeros((len(amplitude), carriers.count)), np.ones((len(amplitude), carriers.count))
-    if field.config.force_noise:
-        noise, body = compute_force_noise_power(condition, carriers)
-    left = explain_power(profile_power, finest, amplitude[:, 0, : carriers.count], noise, body, condition, carriers)
-    amplitude[:, :, carriers.arc_slice] *= left.arc[:, None, :]
-    amplitude[:, :, carriers.time_slice] *= left.time[:, None, :]
+    """Take from amplitudes (m, heads, K) at knots, in place, what the height profile explains; see explain_power."""
+    carriers, profile = field.config.carriers, stroke.profile
+    assert profile is not None
+    profile_power, finest = compute_profile_power(profile, carriers), find_finest(profile)
+    for low in range(0, len(knots), BATCH_SAMPLES):
+        at, part = knots[low : low + BATCH_SAMPLES], amplitude[low : low + BATCH_SAMPLES]
+        condition = interpolate_condition(stroke, action, token_index, at, course.along_share, course.token_lines)
+        noise, body = np.zeros((len(at), carriers.count)), np.ones((len(at), carriers.count))
+        if field.config.force_noise:
+            noise, body = compute_force_noise_power(condition, carriers)
+        left = explain_power(profile_power, finest, part[:, 0].astype(np.float64), noise, body, condition, carriers)
+        part[:, :, carriers.arc_slice] *= left.arc[:, None, :]
+        part[:, :, carriers.time_slice] *= left.time[:, None, :]
 
 
 def count_memory_states(field: Field) -> int:
     """Return the number of past states that a state's amplitudes depend on."""
     config = field.config
     return config.stride * (config.states - 1) if config.accumulation == "past" else 0
-
-
-def arc_band_frequency(action: Action, carriers: Carriers) -> Float:
-    """Compute the frequency (n, Ka) [Hz] of each arc band, κ · |ds/dt|, by the fastest motion within two states.
-
-    Bands above BAND_END_HZ are silenced: they would alias, and a jump of the hand would draw metres of noise.
-    """
-    return np.asarray(find_peak_speed(action)[:, None] * carriers.arc_centres())

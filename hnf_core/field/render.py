@@ -4,8 +4,7 @@
 cutting it into overlapping chunks: a sample depends on the states around it through the contact's impulse response
 (TAIL_SAMPLES, LEAD_SAMPLES), F_Θ's past states and the fades at the ends of contact. Each chunk is prepared with that
 margin on either side and rendered without it. The noise carriers follow the clock and path of the whole stroke, so they
-continue across chunks. Chunks and margins are multiples of the states that are evaluated at once, because F_Θ's float32
-products depend on that number.
+continue across chunks. Chunks and margins are whole passages, the unit of adaptive sampling.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from ..errors import UsageError
 from ..kernel.loader import load_kernel, single_blas_thread_without_kernel
 from ..progress import add_work
 from ..threads import available_cpus, run_in_thread
+from .adaptive_sampling import PASSAGE_SAMPLES, PASSAGE_STATES
 from .carrier_rendering import REACH_SAMPLES, Knots, render_carrier_hops, render_carriers_full_rate
 from .contact.contact_filter import LEAD_SAMPLES, TAIL_SAMPLES
 from .field import Field
@@ -30,7 +30,6 @@ from .prepare import (
     AFTER_CONTACT_S,
     BEFORE_CONTACT_S,
     BLOCK_SAMPLES,
-    CHUNK_STATES,
     PreparedStroke,
     StrokeCourse,
     count_memory_states,
@@ -111,10 +110,7 @@ def render_carriers(prepared: PreparedStroke, start: int, count: int) -> Float:
     carriers, seed, action, origin = prepared.carriers, prepared.seed, prepared.action, prepared.origin
     if prepared.amplitude.shape[1] > 1 or carriers.constant:
         return render_carriers_full_rate(prepared.amplitude, carriers, seed, action, start, count, origin)
-    knot_samples = prepared.knots
-    if knot_samples is None:
-        knot_samples = SAMPLES_PER_STATE * np.arange(len(prepared.amplitude))
-    knots, first = Knots(knot_samples + origin, prepared.amplitude[:, 0]), (origin + start) // HOP_SIZE
+    knots, first = Knots(prepared.knots + origin, prepared.amplitude[:, 0]), (origin + start) // HOP_SIZE
     hops = range(first, (origin + start + count - 1) // HOP_SIZE + 1)
     position = extrapolate_position(
         action, first * HOP_SIZE - origin - REACH_SAMPLES, len(hops) * HOP_SIZE + 2 * REACH_SAMPLES
@@ -123,7 +119,7 @@ def render_carriers(prepared: PreparedStroke, start: int, count: int) -> Float:
     samples = render_carrier_hops(knots, carriers, seed, position, hops)[begin : begin + count]
     if prepared.course.lines is not None and prepared.tone_amplitude is not None:
         here = position[begin + REACH_SAMPLES : begin + REACH_SAMPLES + count]
-        samples = samples + prepared.course.lines.render(action, knot_samples, prepared.tone_amplitude, start, here)
+        samples = samples + prepared.course.lines.render(action, prepared.knots, prepared.tone_amplitude, start, here)
     return samples
 
 
@@ -141,8 +137,8 @@ def render_contact(prepared: PreparedStroke, start: int, count: int) -> Float:
     return samples
 
 
-CHUNK_STEP = math.lcm(BLOCK_SAMPLES, HOP_SIZE, CHUNK_STATES * SAMPLES_PER_STATE)
-"""Samples at which chunks may be cut: there blocks, hops and groups of states all begin."""
+CHUNK_STEP = math.lcm(BLOCK_SAMPLES, HOP_SIZE, PASSAGE_SAMPLES)
+"""Samples at which chunks may be cut: there blocks, hops and passages all begin."""
 CHUNK_SAMPLES = 6 * CHUNK_STEP
 """Samples of a chunk: 61 s, of which F_Θ's amplitudes take 25 MB."""
 _MARGIN_STATES = 4
@@ -181,8 +177,7 @@ def render_chunks(
     begin
         First sample, a multiple of CHUNK_STEP; earlier ones are not computed.
     tolerance
-        Largest RMS error due to interpolated amplitudes, relative to the RMS of each chunk; None for exact evaluation.
-        Where a chunk begins, amplitudes may step by as much.
+        As in `synthesise`.
 
     Yields
     ------
@@ -226,7 +221,7 @@ def render_chunks(
             prepared = prepare_stroke(field, chunk, seed=seed, tolerance=tolerance, course=course)
             prepared = replace(prepared, origin=origin)
         samples = render_samples(prepared, start - origin, stop - origin)
-        yield RenderedChunk(samples, float(prepared.loudest.max(initial=0.0)), prepared.residual_power)
+        yield RenderedChunk(samples, prepared.loudest, prepared.residual_power)
 
 
 def _find_chunk_states(field: Field, start: int, stop: int, states: int) -> slice:
@@ -240,8 +235,8 @@ def _find_chunk_states(field: Field, start: int, stop: int, states: int) -> slic
     first = start // SAMPLES_PER_STATE - before - count_memory_states(field) - _MARGIN_STATES
     last = -(-stop // SAMPLES_PER_STATE) + after + _MARGIN_STATES
     return slice(
-        max(first // CHUNK_STATES * CHUNK_STATES, 0),
-        min(-(-last // CHUNK_STATES) * CHUNK_STATES, states),
+        max(first // PASSAGE_STATES * PASSAGE_STATES, 0),
+        min(-(-last // PASSAGE_STATES) * PASSAGE_STATES, states),
     )
 
 

@@ -1,6 +1,6 @@
 """Synthesise strokes: one, one again after a change of force, or one over materials with their own fields.
 
-`synthesise` evaluates the field at the action rate and renders its carriers at 10 kHz in blocks, each computable alone;
+`synthesise` evaluates the field within a tolerance and renders its carriers at 10 kHz in blocks, each computable alone;
 another output rate is a resampling of the same signal, never another model. `render_incremental` renders a stroke that
 differs in force or contact again, only where samples change, and equals a complete rendering to the last bit.
 `split_by_field` and `blend` combine the fields of several materials: each field synthesises the whole stroke, and
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..errors import UsageError
 from ..kernel.loader import single_blas_thread_without_kernel
 from ..signal import Signal
-from .carrier_rendering import find_states_read
+from .carrier_rendering import REACH_SAMPLES
 from .carriers import MODEL_RATE_HZ, WORD_MASK
 from .contact.contact_filter import LEAD_SAMPLES, TAIL_SAMPLES
 from .contact.contact_motion import render_motion_axes
@@ -69,8 +69,8 @@ def synthesise(
     sample_rate
         Sample rate of the output [Hz].
     tolerance
-        Largest RMS error due to interpolated amplitudes, relative to the RMS of the stroke; None for exact evaluation,
-        as it is with a warning where `supports_tolerance` is False.
+        Largest RMS error due to interpolated amplitudes, relative to the RMS of the stroke; a warning says where it is
+        not kept. None for DEFAULT_TOLERANCE, without a warning.
 
     Returns
     -------
@@ -91,8 +91,8 @@ def synthesise(
 def tolerance_warning(residual_power: float, tolerance: float | None) -> tuple[str, ...]:
     """Return a warning if adaptive evaluation did not reach its tolerance; () otherwise.
 
-    residual_power: error power over the signal's power. tolerance: largest RMS error over RMS, None if evaluation is
-    exact.
+    residual_power: error power over the signal's power. tolerance: largest RMS error over RMS that was asked for, None
+    if none was.
     """
     if tolerance is None or residual_power <= tolerance**2 * (1.0 + 1e-9):
         return ()
@@ -125,13 +125,13 @@ def make_result(
     """
     output, rate_warnings = resample(samples, MODEL_RATE_HZ, sample_rate)
     confidence, warnings = check_ranges(field, stroke, prepared.action)
-    warnings += check_ceiling(field.config, float(prepared.loudest.max(initial=0.0)))
+    warnings += check_ceiling(field.config, prepared.loudest)
     if stroke.profile is not None and prepared.motion is None:
         warnings += ("This field has no arc-length carriers: the height profile is left out.",)
     provenance = {"probe": stroke.action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
     signal = Signal(output.astype(np.float32), float(sample_rate), prepared.seed, provenance)
     warnings += (*rate_warnings, *tolerance_warning(prepared.residual_power, tolerance))
-    if tolerance is not None and prepared.knots is None:
+    if tolerance is not None and prepared.sampled is None:
         warnings += ("The tolerance has no say over this stroke: the field is evaluated at every state.",)
     return Synthesis(signal, confidence, warnings)
 
@@ -403,10 +403,6 @@ def is_same_path(earlier: RenderedStroke, field: Field, stroke: StrokeInput, see
 
 def find_changed_blocks(old: PreparedStroke, new: PreparedStroke) -> list[tuple[int, int]]:
     """Return (start, length) [samples] of the blocks in which two strokes with the same path may differ."""
-    states = len(new.force)
-    texture = _rows_differ(old.amplitude, new.amplitude)
-    if new.tone_amplitude is not None and old.tone_amplitude is not None:
-        texture |= _rows_differ(old.tone_amplitude, new.tone_amplitude)
     pressing = old.force != new.force
     audible = old.audible != new.audible
     if new.motion is not None and old.motion is not None:
@@ -416,13 +412,14 @@ def find_changed_blocks(old: PreparedStroke, new: PreparedStroke) -> list[tuple[
         _mark_changed(audible, before, after)
     blocks = []
     for start, count in split_blocks(new.count):
-        near = find_states_read(states, start, count)
         # The contact's response reaches TAIL_SAMPLES back and LEAD_SAMPLES ahead, and its spline some states more.
         low = (start - TAIL_SAMPLES) // SAMPLES_PER_STATE - _SPLINE_STATES
         far = slice(max(low, 0), (start + count + LEAD_SAMPLES) // SAMPLES_PER_STATE + _SPLINE_STATES + 1)
-        if audible[start : start + count].any() or (
-            is_audible(new.audible[start : start + count]) and (texture[near].any() or pressing[far].any())
-        ):
+        is_changed = audible[start : start + count].any() or (
+            is_audible(new.audible[start : start + count])
+            and (pressing[far].any() or _amplitudes_differ(old, new, start, count))
+        )
+        if is_changed:
             blocks.append((start, count))
     return blocks
 
@@ -441,5 +438,14 @@ def _mark_changed(
                 changed[max(each.start, 0) : max(each.start + len(each.samples), 0)] = True
 
 
-def _rows_differ(old: Float, new: Float) -> NDArray[np.bool_]:
-    return np.asarray((old != new).reshape(len(new), -1).any(axis=1))
+def _amplitudes_differ(old: PreparedStroke, new: PreparedStroke, start: int, count: int) -> bool:
+    """Return True if amplitudes that samples start … start + count − 1 are rendered from differ between two strokes."""
+    low, high, parts = start - REACH_SAMPLES, start + count + REACH_SAMPLES, []
+    for prepared in (old, new):
+        rows = slice(
+            max(int(np.searchsorted(prepared.knots, low, side="right")) - 1, 0),
+            int(np.searchsorted(prepared.knots, high)) + 1,
+        )
+        tones = prepared.tone_amplitude
+        parts.append((prepared.knots[rows], prepared.amplitude[rows], np.zeros(0) if tones is None else tones[rows]))
+    return not all(np.array_equal(one, other) for one, other in zip(*parts, strict=True))

@@ -11,12 +11,13 @@ from hnf_core.field import carrier_rendering
 from hnf_core.field.carrier_rendering import Knots, render_carriers_full_rate, sum_time_carriers
 from hnf_core.field.live.hand_tracker import LiveState
 from hnf_core.field.live.synthesis import LiveSynthesis
-from hnf_core.field.prepare import PreparedStroke, prepare_stroke
+from hnf_core.field.prepare import PreparedStroke
 from hnf_core.field.render import render_contact
 from hnf_core.field.stroke import StrokeInput, interpolate_position, uniform_stroke
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.loader import without_kernel
 from hnf_core.material.library import get_material
+from reference.every_state import prepare_every_state
 
 BLOCK = 50
 SEED = 3
@@ -44,7 +45,7 @@ def on(action: Action, material: str) -> StrokeInput:
 def offline(stroke: StrokeInput) -> np.ndarray:
     """The whole stroke at the model's rate: carriers in time in float64, those in arc length as they are kept for any
     render (field/noise_cache.py), read by numpy."""
-    prepared = prepare_stroke(load_field(), stroke, seed=SEED)
+    prepared = prepare_every_state(load_field(), stroke, seed=SEED)
     carriers, count, amplitude = prepared.carriers, prepared.count, prepared.amplitude[:, 0]
     out = sum_time_carriers(amplitude[:, carriers.time_slice], carriers, SEED, 0, count)
     near = Knots(BLOCK * np.arange(len(amplitude)), amplitude).select_range(0, count)
@@ -59,14 +60,13 @@ def tones_of(prepared: PreparedStroke) -> np.ndarray | float:
     """What a regular surface sounds at, at every sample."""
     if prepared.course.lines is None or prepared.tone_amplitude is None:
         return 0.0
-    knots = BLOCK * np.arange(len(prepared.tone_amplitude))
     position = interpolate_position(prepared.action, 0, prepared.count)
-    return prepared.course.lines.render(prepared.action, knots, prepared.tone_amplitude, 0, position)
+    return prepared.course.lines.render(prepared.action, prepared.knots, prepared.tone_amplitude, 0, position)
 
 
 def as_the_model_says(stroke: StrokeInput) -> np.ndarray:
     """The same, every carrier plainly in float64."""
-    prepared = prepare_stroke(load_field(), stroke, seed=SEED)
+    prepared = prepare_every_state(load_field(), stroke, seed=SEED)
     out = render_carriers_full_rate(prepared.amplitude, prepared.carriers, SEED, prepared.action, 0, prepared.count)
     return prepared.audible * (out + tones_of(prepared) + render_contact(prepared, 0, prepared.count))
 

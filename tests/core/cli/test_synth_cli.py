@@ -358,7 +358,7 @@ def test_a_doubt_about_units_is_among_the_warnings(tmp_path, capsys, material):
 
 def test_a_tolerance_is_kept_in_a_stroke_of_minutes_too(tmp_path, capsys, material):
     table, plain, near = tmp_path / "long.csv", tmp_path / "plain.wav", tmp_path / "near.wav"
-    rows = (f"{at},{0.2 * math.sin(at)},{0.05 + 0.03 * math.sin(0.7 * at)},1" for at in range(0, 131))
+    rows = (f"{at / 10},{0.2 * math.sin(at / 10)},{0.05 + 0.03 * math.sin(0.9 * at)},1" for at in range(0, 1301))
     table.write_text(HEADER + "\n".join(rows) + "\n")
     for words, path in (((), plain), (("--tolerance", "-30"), near)):
         assert hnf("synth", "--material", material, "--action", table, *words, "--out", path) == 0

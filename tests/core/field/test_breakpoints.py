@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.field.adaptive_sampling import MAX_DEVIATION, find_breakpoints
+from hnf_core.field.adaptive_sampling import DIRECTION_WEIGHT, MAX_DEVIATION, PASSAGE_SAMPLES, find_breakpoints
 from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
 from hnf_core.field.stroke import SAMPLES_PER_STATE
 from hnf_core.kernel.compiled_carriers import find_bends
@@ -51,7 +51,11 @@ def test_segments_are_linear_with_one_material_and_contact_state(seed, count, re
     assert kept[0] == 0
     assert kept[-1] == count - 1
     force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
-    course = [np.log(np.maximum(action.speed, SPEED_FLOOR_M_S)), np.log(force), *action.direction.T]
+    course = [
+        np.log(np.maximum(action.speed, SPEED_FLOOR_M_S)),
+        np.log(force),
+        *(DIRECTION_WEIGHT * action.direction.T),
+    ]
     for values in course:
         straight = np.interp(np.arange(count), kept, values[kept])
         assert np.abs(values - straight).max() <= MAX_DEVIATION + 1e-9
@@ -61,12 +65,12 @@ def test_segments_are_linear_with_one_material_and_contact_state(seed, count, re
             assert len(set(action.contact[low : high + 1].tolist())) == 1
 
 
-def test_an_even_stroke_turns_nowhere():
+def test_an_even_stroke_turns_nowhere_but_at_passages():
     action = Action(
         ACTION_RATE_HZ, np.tile([1.0, 0.0], (200, 1)), np.full(200, 0.1), np.ones(200), np.arange(200) * 5e-4,
         np.ones(200, bool),
     )  # fmt: skip
-    assert find_breakpoints(action, np.zeros(200, np.int32)).tolist() == [0, 199 * SAMPLES_PER_STATE]
+    assert find_breakpoints(action, np.zeros(200, np.int32)).tolist() == [0, PASSAGE_SAMPLES, 199 * SAMPLES_PER_STATE]
 
 
 def test_a_course_without_its_ends_never_reaches_the_kernel():

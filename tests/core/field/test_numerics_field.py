@@ -25,6 +25,7 @@ from hnf_core.field.stroke import (
 from hnf_core.field.synthesis import synthesise
 from hnf_core.material.contact_model import MECHANICS_LIMITS, MECHANICS_NAMES, Mechanics
 from hnf_core.material.token import TOKEN_DIM
+from reference.every_state import prepare_every_state
 
 WOOD = Mechanics(8e4, 0.15, 0.3)
 SMALL = FieldConfig(hidden=8, layers=2)
@@ -218,7 +219,7 @@ def test_relief_above_the_nyquist_rate_does_not_alias():
 def test_what_is_read_is_never_above_the_model_rates_band():
     """Not even what a slow state left in the memory of a fast one."""
     action = make_action(np.where(STATE > 20, 2.0, 0.2), 1.0)
-    prepared = prepare_stroke(FIELDS["random"], uniform_stroke(action, rough_token(), WOOD), seed=0)
+    prepared = prepare_every_state(FIELDS["random"], uniform_stroke(action, rough_token(), WOOD), seed=0)
     arcs = FIELDS["random"].config.carriers
     loud = prepared.amplitude[:, 0, arcs.arc_slice] != 0.0
     read = np.abs(np.diff(action.position))[:, None] * ACTION_RATE_HZ * arcs.arc_centres()

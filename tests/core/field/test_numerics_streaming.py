@@ -18,6 +18,7 @@ from hnf_core.field.synthesis import synthesise
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.token import TOKEN_DIM
 from hnf_core.metrics.spectra import welch
+from reference.every_state import prepare_every_state
 from reference.literal_synthesis import texture_reference
 
 WOOD = Mechanics(8e4, 0.15, 0.3)
@@ -35,7 +36,7 @@ def rough_token() -> np.ndarray:
 
 def ten_minutes() -> PreparedStroke:
     """A steady stroke of ten minutes. F_Θ gives every state the same, so it is evaluated for one."""
-    short = prepare_stroke(FIELD, uniform_stroke(make_steady_action(1.0, 0.1, 1.0), rough_token(), WOOD), seed=7)
+    short = prepare_every_state(FIELD, uniform_stroke(make_steady_action(1.0, 0.1, 1.0), rough_token(), WOOD), seed=7)
     action = make_steady_action(TEN_MINUTES_S, 0.1, 1.0)
     states = len(action.speed)
 
@@ -46,7 +47,7 @@ def ten_minutes() -> PreparedStroke:
     bank = dataclasses.replace(short.bank, weights=lasting(short.bank.weights))
     return dataclasses.replace(
         short, action=action, amplitude=lasting(short.amplitude), bank=bank, force=lasting(short.force),
-        audible=np.ones(sample_count(action)),
+        audible=np.ones(sample_count(action)), knots=SAMPLES_PER_STATE * np.arange(states),
     )  # fmt: skip
 
 

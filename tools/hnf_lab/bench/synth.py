@@ -25,13 +25,19 @@ from data_tools.bench_strokes import clear_carrier_caches, make_keyed_stroke
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.datasets.hatt_models import HattProcess, TextureModel
 from hnf_core.errors import UsageError
-from hnf_core.field.adaptive_sampling import BATCH_SAMPLES, EvaluateAt, SampledEmission, interpolate_rows
+from hnf_core.field.adaptive_sampling import (
+    BATCH_SAMPLES,
+    DEFAULT_TOLERANCE,
+    EvaluateAt,
+    SampledEmission,
+    interpolate_rows,
+)
 from hnf_core.field.carrier_rendering import render_carriers_full_rate
 from hnf_core.field.carriers import MODEL_RATE_HZ
-from hnf_core.field.field import Emission, Field, evaluate, get_network
+from hnf_core.field.field import Emission, Evaluator, Field, evaluate, get_network
 from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition
 from hnf_core.field.noise_cache import prefetch_noise
-from hnf_core.field.prepare import follow_stroke, make_evaluate_at, prepare_sampled, prepare_stroke
+from hnf_core.field.prepare import follow_stroke, make_evaluate_at, prepare_sampled
 from hnf_core.field.render import render_contact, render_samples
 from hnf_core.field.stroke import StrokeInput, resample_action, sample_count
 from hnf_core.field.synthesis import render_stroke
@@ -39,6 +45,7 @@ from hnf_core.field.weights import load_field
 from hnf_core.kernel.loader import load_kernel, without_kernel
 from hnf_core.material.contact_model import Mechanics
 from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
+from reference.every_state import prepare_every_state
 from reference.literal_synthesis import synthesise_reference
 
 from .harness import BenchOptions, Row, Times, measure_peak_mb
@@ -379,15 +386,19 @@ def _make_row(
 
 def _make_methods(field: Field, stroke: StrokeInput) -> list[SynthMethod]:
     def render_plain(field: Field, stroke: StrokeInput, seed: int) -> Float:
-        prepared = prepare_stroke(field, stroke, seed=seed)
+        prepared = prepare_every_state(field, stroke, seed=seed)
         texture = render_carriers_full_rate(
             prepared.amplitude, prepared.carriers, seed, prepared.action, 0, prepared.count
         )
         return np.asarray(prepared.audible * (texture + render_contact(prepared, 0, prepared.count)))
 
-    def render_within(tolerance_db: float | None, field: Field, stroke: StrokeInput, seed: int) -> Float:
-        tolerance = None if tolerance_db is None else 10.0 ** (tolerance_db / 20.0)
-        return render_stroke(field, stroke, seed, tolerance)[1]
+    def render_every_state(field: Field, stroke: StrokeInput, seed: int, evaluator: Evaluator = evaluate) -> Float:
+        with prefetch_noise(field.config, seed, resample_action(stroke)[0]):
+            prepared = prepare_every_state(field, stroke, seed=seed, evaluator=evaluator)
+        return render_samples(prepared)
+
+    def render_within(tolerance_db: float, field: Field, stroke: StrokeInput, seed: int) -> Float:
+        return render_stroke(field, stroke, seed, 10.0 ** (tolerance_db / 20.0))[1]
 
     material = stroke.tokens[0], stroke.mechanics[0], stroke.action.probe
     table = tabulate_field(field, *material, TableGrid() if len(stroke.action.speed) > 1000 else TableGrid(4, 1, 1))
@@ -397,7 +408,7 @@ def _make_methods(field: Field, stroke: StrokeInput) -> list[SynthMethod]:
         return render_stroke(field, stroke, seed, TABLE_TOLERANCE, read_table)[1]
 
     def render_bfloat16(field: Field, stroke: StrokeInput, seed: int) -> Float:
-        return render_stroke(field, stroke, seed, evaluator=evaluate_in_bfloat16)[1]
+        return render_every_state(field, stroke, seed, evaluate_in_bfloat16)
 
     bfloat16 = SynthMethod("every state, bfloat16", render_bfloat16, note="F_Θ's layers, by torch; the rest as it is")
 
@@ -406,10 +417,14 @@ def _make_methods(field: Field, stroke: StrokeInput) -> list[SynthMethod]:
 
     def render_without_kernel(tolerance_db: float | None, field: Field, stroke: StrokeInput, seed: int) -> Float:
         with without_kernel():
+            if tolerance_db is None:
+                return render_every_state(field, stroke, seed)
             return render_within(tolerance_db, field, stroke, seed)
 
+    default_db = round(20.0 * np.log10(DEFAULT_TOLERANCE))
+    notes = {default_db: "what scenes and previews use"}
     adaptive = [
-        SynthMethod(f"within {db:g} dB", partial(render_within, db), note="F_Θ where the action asks")
+        SynthMethod(f"within {db:g} dB", partial(render_within, db), note=notes.get(db, "F_Θ where the action asks"))
         for db in TOLERANCES_DB
     ]
     cached = [
@@ -442,7 +457,7 @@ def _make_methods(field: Field, stroke: StrokeInput) -> list[SynthMethod]:
         SynthMethod(
             "every state, plain carriers", render_plain, note="200 times a second, carriers band by band in float64"
         ),
-        SynthMethod(EVERY_STATE, partial(render_within, None), note="200 times a second; what scenes and previews use"),
+        SynthMethod(EVERY_STATE, render_every_state, note="200 times a second"),
         *([bfloat16] if has_bfloat16() else []),
         *adaptive,
         *cached,

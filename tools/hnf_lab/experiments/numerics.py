@@ -49,6 +49,7 @@ from hnf_core.tactile.unet import build_unet, load_map_weights
 from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, AppearanceView
 from hnf_core.training.model import FieldNetwork
 from hnf_core.training.model import render_weights as twin
+from reference.every_state import prepare_every_state
 from reference.geometry import ReferenceGeometry
 from reference.literal_synthesis import synthesise_reference
 
@@ -162,7 +163,7 @@ def build_field_inputs(field: Field, condition: Condition) -> Inputs:
 
 def synthesise_emission(field: Field, stroke: StrokeInput, emission: Emission) -> Float:
     """Return the signal (n,) of a stroke for a given field emission."""
-    prepared = prepare_stroke(field, stroke, seed=1)
+    prepared = prepare_every_state(field, stroke, seed=1)
     prepared = replace(prepared, amplitude=accumulate(field.config, emission))
     return render_block(prepared, 0, prepared.count)
 
@@ -513,7 +514,7 @@ def measure_stream(field: Field, minutes: int) -> Iterator[tuple[str, str]]:
     stroke, started = make_library_stroke(60.0 * minutes), time.process_time()
     prepared = prepare_stroke(field, stroke, seed=7)
     yield (
-        "preparing all states",
+        "preparing it",
         f"{time.process_time() - started:.0f} s of one core, peak memory {read_peak_mb():.0f} MB",
     )
     power, resident, blocks = [], [], []

@@ -35,6 +35,7 @@ from hnf_core.field.stroke import (
 from hnf_core.field.synthesis import tolerance_warning
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import load_library
+from reference.every_state import prepare_every_state
 from reference.literal_synthesis import carriers_at, tones_at
 
 Float = NDArray[np.float64]
@@ -110,7 +111,7 @@ def measure_primitive(primitive: str, field: Field) -> Iterator[ErrorResult]:
                 at / SAMPLES_PER_STATE))
                 for at in split_samples(sample)
             ])  # fmt: skip
-        all_states = prepare_stroke(field, stroke, seed=SEED)
+        all_states = prepare_every_state(field, stroke, seed=SEED)
         count = all_states.count
         exact = all_states.audible * (
             compute_literal_texture(field, stroke, waves[:count]) + render_contact(all_states, 0, count)
@@ -123,8 +124,7 @@ def measure_primitive(primitive: str, field: Field) -> Iterator[ErrorResult]:
             error = render_block(prepared, 0, count) - exact
             error_db = 10.0 * np.log10(np.mean(np.square(error)) / np.mean(np.square(exact)))
             warned = bool(tolerance_warning(prepared.residual_power, tolerance))
-            knots = len(prepared.amplitude) if prepared.knots is None else len(prepared.knots)
-            yield ErrorResult(primitive, tolerance_db, float(error_db), warned, knots)
+            yield ErrorResult(primitive, tolerance_db, float(error_db), warned, len(prepared.knots))
 
 
 def format_table(found: list[ErrorResult]) -> str:
