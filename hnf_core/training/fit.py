@@ -105,9 +105,9 @@ def compute_band_expectation(edges: Float) -> Float:
     def cumulative_power(frequency: Float) -> Float:
         return np.asarray(np.interp(frequency[:, None] - bins[None, :], offset, cumulative, left=0.0, right=1.0))
 
-    low, high = edges[:-1], edges[1:]
-    fraction = cumulative_power(high) - cumulative_power(low) + cumulative_power(-low) - cumulative_power(-high)
-    return pool_bins(fraction / (high - low)[:, None])
+    at_positive, at_negative = cumulative_power(edges), cumulative_power(-edges)
+    fraction = at_positive[1:] - at_positive[:-1] + at_negative[:-1] - at_negative[1:]
+    return pool_bins(fraction / np.diff(edges)[:, None])
 
 
 def compute_expectation_matrices(carriers: Carriers, speeds: Float) -> tuple[Float, Float]:

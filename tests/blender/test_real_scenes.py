@@ -9,7 +9,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from touch_scene import signals, spectrum_db, touch
+from touch_scene import signals, spectrum_db
+from touch_scene import touch_without_pictures as touch
 
 from hnf_blender.bridge.scene.stored_data import read_tokens
 from hnf_core.field.field import evaluate, steady_amplitude
