@@ -128,6 +128,7 @@ THREADS_THAT_WAIT = {
     "jobs/child_job.py": "reads the output of a process, or waits for its end",
     "actuator/player_process.py": "reads and writes the pipes of a process, or waits for its end",
     "ops/learn_ops.py": "waits for the external Python, a process",
+    "supervisor.py": "waits for signals, beside a command that is a process",
 }
 """Module → what its threads do instead of computing."""
 

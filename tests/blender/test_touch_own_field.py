@@ -14,6 +14,7 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene
 from touch_scene import touch_without_pictures as touch
 
 from hnf_core.export.wav import read_wav
+from hnf_core.field.adaptive_sampling import DEFAULT_TOLERANCE
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.weights import read_material_file, save_field
@@ -47,7 +48,11 @@ def duo() -> None:
 
 
 def test_a_seam_between_an_own_field_and_the_shared_one(tmp_path, weights, capsys) -> None:
-    """Away from the seam, each half is exactly what it is where one field serves both; `none` lacks the field."""
+    """Away from the seam, each half is what it is where one field serves both; `none` lacks the field.
+
+    The left half is so within the tolerance: where the trained field is evaluated follows from all of a passage, of
+    which the right half has another token.
+    """
     without = tmp_path / "without.hnf"
     write_hnf(without, replace(read_material_file(weights), field=b""))
     duo()
@@ -60,7 +65,8 @@ def test_a_seam_between_an_own_field_and_the_shared_one(tmp_path, weights, capsy
         signals[name] = read_wav(tmp_path / name / entries[name]["wav"]).samples
     middle, fade = len(signals["left"]) // 2, 100
     left, right = slice(0, middle - fade), slice(middle + fade, None)
-    np.testing.assert_allclose(signals["left"][left], signals["all"][left], atol=1e-6)
+    off = signals["left"][left] - signals["all"][left]
+    assert np.std(off) < DEFAULT_TOLERANCE * np.std(signals["all"][left])
     np.testing.assert_allclose(signals["left"][right], signals["none"][right], atol=1e-6)
     assert not np.allclose(signals["left"][left], signals["none"][left], atol=1e-3)
     assert entries["left"]["fields"] == {
