@@ -33,7 +33,7 @@ Float32 = NDArray[np.float32]
 Samples = NDArray[np.int64]
 
 DEFAULT_TOLERANCE = 0.01
-"""Tolerance where none is given: −40 dB, a sixth of what the field itself is off by."""
+"""Tolerance where none is given: −40 dB, far below the 0.7 dB by which the field itself is off."""
 PASSAGE_STATES = 128
 """States (200 Hz) of a passage: 0.64 s."""
 PASSAGE_SAMPLES = PASSAGE_STATES * SAMPLES_PER_STATE
