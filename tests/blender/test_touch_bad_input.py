@@ -414,7 +414,7 @@ def test_stopping_half_way_keeps_what_is_finished(tmp_path) -> None:
     scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
     program = "import sys; from hnf_blender.cli import main; sys.exit(main())"
     run = subprocess.Popen(
-        [sys.executable, "-c", program, "touch", str(scene), "--out", str(out)],
+        [sys.executable, "-c", program, "touch", str(scene), "--out", str(out), "--no-pictures"],
         cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
     )  # fmt: skip
     deadline = time.monotonic() + 120
@@ -425,7 +425,7 @@ def test_stopping_half_way_keeps_what_is_finished(tmp_path) -> None:
     assert run.returncode == 1, errors.decode()
     finished = finished_in(out)
     assert 1 <= len(finished) < STROKES
-    code, report = touch(scene, out)
+    code, report = touch_without_pictures(scene, out)
     assert code == 0
     assert sum(entry["fresh"] for entry in report["strokes"]) >= len(finished) - 1
     assert len(report["strokes"]) == STROKES
