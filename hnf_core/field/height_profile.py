@@ -95,7 +95,9 @@ def compute_profile_power(profile: HeightProfile, carriers: Carriers) -> Float:
         cumulative = np.concatenate([[0.0], np.cumsum(energy[inside])])
         level = np.diff(cumulative[borders - inside.start])
         octave_spectrum = np.zeros_like(spectrum)
-        octave_spectrum[inside] = spectrum[inside]
+        # Cut in two at the octave's edge, a tone would be loudest at the profile's ends, as an event is.
+        around = slice(*np.searchsorted(kappa, (band_edges[0] / MARGIN_RATIO, band_edges[-1] * MARGIN_RATIO)))
+        octave_spectrum[around] = spectrum[around]
         wave = np.fft.irfft(octave_spectrum, size)[:count]
         power[bands] = _stationary_power(wave, level, band_edges, profile.step_m)
     return power
@@ -106,10 +108,15 @@ def find_finest(profile: HeightProfile) -> float:
     return 1.0 / max(profile.resolved_wavelength_m, 2.0 * profile.step_m)
 
 
+MARGIN_RATIO = 2.0 ** (2.0 / ARC_PER_OCTAVE)
+"""Margin on either side of an octave within which events are looked for: two bands."""
+
+
 def _stationary_power(total: Float, level: Float, band_edges: Float, step: float) -> Float:
     """Compute the mean power (24,) of an octave's bands over those parts of the profile without events such as seams.
 
-    total: (m,) height summed over the bands, every `step` [m]. level: (24,) their mean power with all events.
+    total: (m,) height summed over the bands and those beside them, every `step` [m]. level: (24,) the bands' mean power
+    with all events.
     """
     if len(total) == 0:
         return level
