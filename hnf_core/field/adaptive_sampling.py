@@ -7,7 +7,7 @@ tolerance of the amplitudes around. `find_breakpoints` adds the samples where th
 touch, a stop or a push shorter than the grid's interval would be missed otherwise.
 
 A stroke is divided into passages of PASSAGE_STATES. What is evaluated in a passage depends on the action there alone,
-so that a chunk of a stroke, and a stroke of which a force key was moved, give the bytes of the whole stroke.
+so that a chunk of a stroke, and a stroke of which a force key was moved, are evaluated where the whole stroke is.
 """
 
 from __future__ import annotations
