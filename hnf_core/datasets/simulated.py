@@ -59,55 +59,29 @@ class SimulatedProcess:
         """
         if len({round(action.duration_s * SAMPLE_RATE_HZ) for action in actions}) != 1:
             raise UsageError("the actions of one call must be equally long.")
-        return self._record_draws(actions, [(seed, row) for row in range(len(actions))])
-
-    def record_each(self, actions: Sequence[Action], seeds: Sequence[int]) -> list[Recording]:
-        """Simulate each action as `record` does it alone with its seed; those that are equally long at once."""
-        rows_of: dict[int, list[int]] = {}
-        for row, action in enumerate(actions):
-            rows_of.setdefault(round(action.duration_s * SAMPLE_RATE_HZ), []).append(row)
-        recordings: dict[int, Recording] = {}
-        for rows in rows_of.values():
-            together = self._record_draws([actions[row] for row in rows], [(seeds[row], 0) for row in rows])
-            recordings.update(zip(rows, together, strict=True))
-        return [recordings[row] for row in range(len(actions))]
-
-    def _record_draws(self, actions: Sequence[Action], draws: Sequence[tuple[int, int]]) -> list[Recording]:
-        """Simulate equally long actions; each has the random draw of a row of a call with a seed, (seed, row)."""
-        places = [(seed, row % PATCH_COUNT) for seed, row in draws]
-        patches = {place: self._make_patch(*place) for place in dict.fromkeys(places)}
-        counts: dict[int, int] = {}
-        for seed, row in draws:
-            counts[seed] = max(counts.get(seed, 0), row + 1)
-        all_starts = {
-            seed: _make_generator(seed, 0).uniform(0.0, PATCH_TILES * TILE_SIZE_M, (count, 2))
-            for seed, count in counts.items()
-        }
-        all_rotations = {
-            seed: _make_generator(seed, 2).uniform(*ROTATION_RAD, (count, 2)) for seed, count in counts.items()
-        }
-        starts = np.stack([all_starts[seed][row] for seed, row in draws])
-        rotations = np.stack([all_rotations[seed][row] for seed, row in draws])
+        patches = [self._make_patch(seed, index) for index in range(min(PATCH_COUNT, len(actions)))]
+        starts = _make_generator(seed, 0).uniform(0.0, PATCH_TILES * TILE_SIZE_M, (len(actions), 2))
+        rotations = _make_generator(seed, 2).uniform(*ROTATION_RAD, (len(actions), 2))
         rotations = rotations[:, 0] * np.where(rotations[:, 1] < np.mean(ROTATION_RAD), -1.0, 1.0)
         # Rows are sorted so that a batch has one probe, and rows that share a smoothed patch are adjacent.
         order = sorted(
-            range(len(actions)), key=lambda row: (actions[row].probe, places[row], float(actions[row].force.max()))
+            range(len(actions)),
+            key=lambda row: (actions[row].probe, row % PATCH_COUNT, float(actions[row].force.max())),
         )
         signals: dict[int, Float] = {}
         for rows in _group_batches(order, actions):
             acceleration = simulate_batch(
-                [patches[places[row]] for row in rows],
+                [patches[row % PATCH_COUNT] for row in rows],
                 [build_stroke(actions[row], starts[row], float(rotations[row])) for row in rows],
                 [self.mechanics] * len(rows),
                 get_probe(actions[rows[0]].probe),
             )[:, round(SETTLE_S * SAMPLE_RATE_HZ) :]
             for row, axes in zip(rows, acceleration, strict=True):
                 signals[row] = _fuse_axes(axes, actions[row])
+        source = f"simulated {self.name}, seed {seed}"
         return [
-            Recording(
-                action, signals[index], SAMPLE_RATE_HZ, self.name, f"simulated {self.name}, seed {seed}, action {row}"
-            )
-            for index, (action, (seed, row)) in enumerate(zip(actions, draws, strict=True))
+            Recording(action, signals[row], SAMPLE_RATE_HZ, self.name, f"{source}, action {row}")
+            for row, action in enumerate(actions)
         ]
 
     def _make_patch(self, seed: int, index: int) -> SmoothedMaps:

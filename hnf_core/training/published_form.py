@@ -19,7 +19,6 @@ from ..action.action import Action
 from ..action.primitive_path import make_primitive_action
 from ..action.primitives import PRIMITIVE_NAMES
 from ..datasets.recording import Recording, TextureProcess
-from ..datasets.simulated import SimulatedProcess
 from ..errors import UsageError
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.field import FieldConfig
@@ -155,22 +154,12 @@ def make_added_strokes(process: TextureProcess | None, recordings: Sequence[Reco
     if process is None:
         strokes = _borrow_windows(recordings, actions)
     else:
-        seeds = [seed + 7919 + index for index in range(len(actions))]
-        strokes = []
-        for first in range(0, len(actions), len(PRIMITIVE_NAMES)):  # by rounds, each of which fits into memory
-            each = slice(first, first + len(PRIMITIVE_NAMES))
-            strokes += _record_each(process, actions[each], seeds[each])
+        strokes = [process.record([action], seed + 7919 + index)[0] for index, action in enumerate(actions)]
     known = frozenset().union(*(recording.known for recording in recordings))
     return [
         replace(stroke, known=known, measure_raw_action=partial(make, rate=MODEL_RATE_HZ))
         for stroke, make in zip(strokes, makers, strict=True)
     ]
-
-
-def _record_each(process: TextureProcess, actions: Sequence[Action], seeds: Sequence[int]) -> list[Recording]:
-    if isinstance(process, SimulatedProcess):
-        return process.record_each(actions, seeds)
-    return [process.record([action], seed)[0] for action, seed in zip(actions, seeds, strict=True)]
 
 
 def _borrow_windows(recordings: Sequence[Recording], actions: Sequence[Action]) -> list[Recording]:
