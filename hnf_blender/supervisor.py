@@ -99,6 +99,7 @@ def _end_with_parent(parent: int) -> None:
 
 
 def _forward_signals(process: int, forwarded: dict[signal.Signals, signal.Signals]) -> None:
+    """Wait for blocked signals for ever, and send a process what stands for each in `forwarded`."""
     while True:
         number = signal.Signals(signal.sigwait(forwarded))
         with contextlib.suppress(ProcessLookupError):

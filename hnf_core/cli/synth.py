@@ -216,8 +216,8 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, default=MODEL_RATE_HZ, metavar="HZ", help="sample rate (default 10000)")
     parser.add_argument(
         "--tolerance", type=float, metavar="DB",
-        help=f"how near to the model taken literally, {MAX_TOLERANCE_DB:g} to {MIN_TOLERANCE_DB:g} dB (default "
-        f"{_DEFAULT_TOLERANCE_DB:g}); what is not reached is said",
+        help=f"how near to the exact model, {MAX_TOLERANCE_DB:g} to {MIN_TOLERANCE_DB:g} dB (default "
+        f"{_DEFAULT_TOLERANCE_DB:g}); a warning says where it is not reached",
     )  # fmt: skip
     parser._negative_number_matcher = _NEGATIVE_NUMBER
     parser.add_argument(

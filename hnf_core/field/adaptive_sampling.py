@@ -40,7 +40,7 @@ PASSAGE_SAMPLES = PASSAGE_STATES * SAMPLES_PER_STATE
 """Samples of a passage."""
 MAX_INTERVAL, MIN_INTERVAL = 400, 2
 """Largest and smallest interval between evaluations [samples]: 40 ms and 0.2 ms."""
-TOLERANCE_SAFETY = 0.45
+TOLERANCE_SAFETY = 0.38
 """Fraction of the requested tolerance that is aimed at.
 
 The error of an interval is predicted from its middle alone; and where the error is in few bands for a few milliseconds,
@@ -178,7 +178,7 @@ def sample_adaptively(
 
 
 def _divide_gaps(fixed: Samples) -> Samples:
-    """Return ascending samples (m,) with those between them that divide any gap into equal parts of MAX_INTERVAL."""
+    """Return fixed samples (f,) and those between them (m,), which divide gaps into equal parts up to MAX_INTERVAL."""
     gap = np.diff(fixed)
     parts = -(-gap // MAX_INTERVAL)
     index = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)

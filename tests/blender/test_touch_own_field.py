@@ -14,7 +14,7 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene
 from touch_scene import touch_without_pictures as touch
 
 from hnf_core.export.wav import read_wav
-from hnf_core.field.adaptive_sampling import DEFAULT_TOLERANCE
+from hnf_core.field.adaptive_sampling import DEFAULT_TOLERANCE, PASSAGE_SAMPLES
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.weights import read_material_file, save_field
@@ -39,19 +39,19 @@ def weights(tmp_path: Path) -> Path:
 
 def duo() -> None:
     """Two halves of one object, a bumpy one and a plain one, and a stroke over both."""
-    corners = [(-0.05, -0.03, 0), (0, -0.03, 0), (0.05, -0.03, 0), (-0.05, 0.03, 0), (0, 0.03, 0), (0.05, 0.03, 0)]
+    corners = [(-0.1, -0.03, 0), (0, -0.03, 0), (0.1, -0.03, 0), (-0.1, 0.03, 0), (0, 0.03, 0), (0.1, 0.03, 0)]
     mesh = add_mesh("Duo", corners, [(0, 1, 4, 3), (1, 2, 5, 4)], uv=lambda co: (co.x, co.y))
     mesh.data.materials.append(bump_material("Left", wavelength=2e-3, height=4e-5))
     mesh.data.materials.append(bpy.data.materials.new("Oak right"))
     mesh.data.polygons[1].material_index = 1
-    line_stroke("Both", length=0.08)
+    line_stroke("Both", length=0.16)
 
 
 def test_a_seam_between_an_own_field_and_the_shared_one(tmp_path, weights, capsys) -> None:
-    """Away from the seam, each half is what it is where one field serves both; `none` lacks the field.
+    """Away from the seam, each half is exactly what it is where one field serves both; `none` lacks the field.
 
-    The left half is so within the tolerance: where the trained field is evaluated follows from all of a passage, of
-    which the right half has another token.
+    In the seam's own passage the left half is so within the tolerance: where the trained field is evaluated follows
+    from all of a passage, of which the right half has another token.
     """
     without = tmp_path / "without.hnf"
     write_hnf(without, replace(read_material_file(weights), field=b""))
@@ -65,6 +65,9 @@ def test_a_seam_between_an_own_field_and_the_shared_one(tmp_path, weights, capsy
         signals[name] = read_wav(tmp_path / name / entries[name]["wav"]).samples
     middle, fade = len(signals["left"]) // 2, 100
     left, right = slice(0, middle - fade), slice(middle + fade, None)
+    before = slice(0, middle // PASSAGE_SAMPLES * PASSAGE_SAMPLES - fade)
+    assert before.stop > middle / 2
+    np.testing.assert_allclose(signals["left"][before], signals["all"][before], atol=1e-6)
     off = signals["left"][left] - signals["all"][left]
     assert np.std(off) < DEFAULT_TOLERANCE * np.std(signals["all"][left])
     np.testing.assert_allclose(signals["left"][right], signals["none"][right], atol=1e-6)
